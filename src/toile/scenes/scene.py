@@ -1,0 +1,75 @@
+"""The one description of a recorded or generated video that everything downstream takes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from torch import Tensor
+
+from toile.geometry.camera import Camera
+
+
+@dataclass(frozen=True)
+class GroundTruth:
+    """What is known of the true motion; used for evaluation only, never by a fit.
+
+    Attributes:
+        vertices: true grid positions (F, H, W, 3) [m], camera frame, or None.
+        point_clouds: one (N_f, 3) float32 cloud [m] per frame, or None.
+    """
+
+    vertices: Tensor | None = None
+    point_clouds: tuple[Tensor, ...] | None = None
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A monocular video of one cloth, with its template and camera, in the OpenCV camera frame.
+
+    Attributes:
+        name: scene name, e.g. "R1".
+        frames: RGB frames (F, h, w, 3), float32 in [0, 1], cropped to the cloth.
+        masks: observed masks (F, h, w), float32 in [0, 1].
+        camera: camera of the cropped frames.
+        texture: texture image (h_t, w_t, 3), float32 in [0, 1], row 0 on top.
+        texture_coordinates: (H, W, 2), float32, (u, v) in [0, 1] with u to the right and v DOWN
+            from the texture's top-left corner.
+        template: vertex positions at frame 0 (H, W, 3) [m], float64, grid (row i, column j).
+        cloth_size: rest length of the two sides [m], along grid axis 0 (i) and axis 1 (j).
+        gravity: (3,) float64 [m/s²].
+        fps: frames per second.
+        held_vertices: flattened grid indices i * W + j of vertices held by something.
+        crop: (top, left) of the crop in the original image [px].
+        original_size: (height, width) of the original image [px].
+        ground_truth: see GroundTruth, or None.
+        source: folder the scene was read from, or None.
+        notes: what the loader changed or found remarkable, for the doctor and the log.
+    """
+
+    name: str
+    frames: Tensor
+    masks: Tensor
+    camera: Camera
+    texture: Tensor
+    texture_coordinates: Tensor
+    template: Tensor
+    cloth_size: tuple[float, float]
+    gravity: Tensor
+    fps: float
+    held_vertices: tuple[int, ...]
+    crop: tuple[int, int] = (0, 0)
+    original_size: tuple[int, int] = (0, 0)
+    ground_truth: GroundTruth | None = None
+    source: Path | None = None
+    notes: tuple[str, ...] = field(default_factory=tuple)
+
+    @property
+    def n_frames(self) -> int:
+        """Number of frames F."""
+        return int(self.frames.shape[0])
+
+    @property
+    def grid(self) -> tuple[int, int]:
+        """Grid size (H, W)."""
+        return int(self.template.shape[0]), int(self.template.shape[1])
