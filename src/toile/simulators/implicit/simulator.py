@@ -1,0 +1,129 @@
+"""The exact implicit simulator behind the common interface, differentiable by the implicit function theorem."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from toile.cloth.cloth import Cloth
+from toile.cloth.material import Material
+from toile.cloth.state import State
+from toile.simulators.base import Simulator, StepResult
+from toile.simulators.implicit.assembly import Assembly
+from toile.simulators.implicit.integrators import Integrator
+from toile.simulators.implicit.newton import NewtonSettings, StepSolution, linearise, minimise_incremental_potential
+
+STANDARD_GRAVITY = 9.81
+
+
+class ImplicitSimulator(Simulator):
+    """Backward Euler or BDF2 with a converged Newton solve in every step, on the CPU in float64.
+
+    Args:
+        cloth: elements, rest shape, masses and held vertices.
+        time_step: h [s].
+        integrator: see integrators.
+        newton: see NewtonSettings.
+    """
+
+    def __init__(self, cloth: Cloth, time_step: float, integrator: Integrator, newton: NewtonSettings) -> None:
+        if time_step <= 0:
+            raise ValueError(f"time_step: expected a positive number of seconds, got {time_step}")
+        self.cloth = cloth
+        self.time_step = time_step
+        self.integrator = integrator
+        self.newton = newton
+        self.n_past = integrator.history - 1
+        self.assembly = Assembly(
+            cloth.stencils, cloth.rest_lengths.numpy(), cloth.rest_corner_angles.numpy(), cloth.held.numpy()
+        )
+        self.inertia = cloth.masses.numpy() / (integrator.effective_step * time_step) ** 2
+        self._force_scale = float(cloth.masses.max()) * STANDARD_GRAVITY
+
+    def step(
+        self,
+        state: State,
+        material: Material,
+        forces: Tensor,
+        anchors: Tensor,
+        guess: Tensor | None = None,
+        *,
+        linearize: bool = False,
+    ) -> StepResult:
+        """See Simulator.step. Without a guess the prediction x̂ starts Newton's method."""
+        history = torch.cat((state.positions[:, None], state.past), dim=1)
+        weights = torch.tensor(self.integrator.prediction, dtype=history.dtype)
+        prediction = (weights[None, :, None, None] * history[:, : self.integrator.history]).sum(1)
+        stiffness = torch.stack((material.stretching, material.shearing, material.bending), -1)
+        start = (2 * history[:, 0] - history[:, 1] if guess is None else guess).detach()
+        solutions: list[StepSolution] = []
+        positions: Tensor = _ImplicitStep.apply(self, solutions, linearize, start, prediction, stiffness, forces, anchors)
+        new_history = torch.cat((positions[:, None], history), dim=1)[:, : self.n_past + 1]
+        d = torch.tensor(self.integrator.velocity, dtype=history.dtype)
+        velocities = (d[None, :, None, None] * new_history[:, : len(d)]).sum(1) / self.time_step
+        return StepResult(
+            state=State(positions, velocities, new_history[:, 1:]),
+            status=tuple(s.status for s in solutions),
+            iterations=tuple(s.iterations for s in solutions),
+            residual=tuple(s.residual for s in solutions),
+            linearization=tuple(s.linearization for s in solutions),
+        )
+
+
+class _ImplicitStep(torch.autograd.Function):
+    """x(x̂, k, f, anchors) = argmin Φ, with the adjoint H λ = ∂J/∂x of the optimality condition."""
+
+    @staticmethod
+    def forward(
+        ctx: Any,
+        simulator: ImplicitSimulator,
+        solutions: list[StepSolution],
+        linearize: bool,
+        guess: Tensor,
+        prediction: Tensor,
+        stiffness: Tensor,
+        forces: Tensor,
+        anchors: Tensor,
+    ) -> Tensor:
+        for b in range(prediction.shape[0]):
+            solutions.append(
+                minimise_incremental_potential(
+                    simulator.assembly,
+                    guess[b].numpy(),
+                    prediction[b].detach().numpy(),
+                    anchors[b].detach().numpy(),
+                    forces[b].detach().numpy(),
+                    stiffness[b].detach().numpy(),
+                    simulator.inertia,
+                    simulator._force_scale,
+                    simulator.newton,
+                    linearize=linearize,
+                )
+            )
+        ctx.simulator, ctx.solutions = simulator, list(solutions)
+        ctx.stiffness = stiffness.detach()
+        return torch.from_numpy(np.stack([s.positions for s in solutions]))
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Any, ...]:
+        simulator: ImplicitSimulator = ctx.simulator
+        assembly = simulator.assembly
+        (gradient,) = gradients
+        to_prediction, to_stiffness, to_forces, to_anchors = [], [], [], []
+        for b, solution in enumerate(ctx.solutions):
+            k = ctx.stiffness[b].numpy()
+            linear = solution.linearization
+            if linear is None:
+                unit = assembly.gradients(solution.positions)
+                linear = linearise(assembly, solution.positions, unit, k, simulator.inertia)
+            g = gradient[b].numpy()
+            adjoint = assembly.from_band(linear.factor.solve(assembly.to_band(g * assembly.free)))
+            to_forces.append(adjoint)
+            to_prediction.append(linear.inertia[:, None] * adjoint)
+            to_stiffness.append(-(linear.unit_gradients * adjoint).sum((1, 2)))
+            to_anchors.append(g[assembly.held] - (linear.coupling @ adjoint.reshape(-1)).reshape(-1, 3))
+        stacked = [torch.from_numpy(np.stack(a)) for a in (to_prediction, to_stiffness, to_forces, to_anchors)]
+        return (None, None, None, None, *stacked)
