@@ -1,0 +1,54 @@
+"""Everything that can be said about a scene at once, where a loader stops at the first error."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from toile.scenes.findings import Finding, Severity, attempt
+from toile.scenes.native import survey_native
+from toile.scenes.phi_sft import survey_phi_sft
+from toile.scenes.recording import Recording, assemble, check_image_contents
+from toile.scenes.registry import SceneLocation, find_scene
+from toile.scenes.texture_coordinates import from_file
+from toile.scenes.validation import check_scene
+
+_ORDER = (Severity.ERROR, Severity.WARNING, Severity.INFO)
+
+
+def diagnose(name: str, data_dir: Path | str | None = None) -> list[Finding]:
+    """Diagnose a scene by name or folder, as load_scene finds it; errors first, never raises InputError."""
+    findings: list[Finding] = []
+    location = attempt(findings, lambda: find_scene(name, data_dir))
+    return findings if location is None else diagnose_location(location)
+
+
+def diagnose_location(location: SceneLocation) -> list[Finding]:
+    """Diagnose a scene whose layout and folder are known."""
+    if location.native:
+        return diagnose_folder(location.folder)
+    return diagnose_phi_sft(location.name, location.folder)
+
+
+def diagnose_folder(folder: Path | str) -> list[Finding]:
+    """Diagnose a folder in the native layout, errors first."""
+    return _diagnose(*survey_native(folder, check_images=check_image_contents))
+
+
+def diagnose_phi_sft(name: str, root: Path | str) -> list[Finding]:
+    """Diagnose a scene of the φ-SfT layout, errors first."""
+    return _diagnose(*survey_phi_sft(name, root, check_images=check_image_contents))
+
+
+def _diagnose(recording: Recording | None, findings: list[Finding]) -> list[Finding]:
+    findings = list(findings)
+    if recording is not None:
+        findings += [Finding(Severity.INFO, "Reading", recording.name, "-", note) for note in recording.notes]
+        scene = attempt(
+            findings,
+            lambda: assemble(recording, crop_margin=0, minimum_component=0.1, texture_coordinates=from_file),
+        )
+        if scene is not None:
+            loading = scene.notes[len(recording.notes) :]
+            findings += [Finding(Severity.INFO, "Loading", recording.name, "-", note) for note in loading]
+            findings += check_scene(scene)
+    return sorted(dict.fromkeys(findings), key=lambda finding: _ORDER.index(finding.severity))

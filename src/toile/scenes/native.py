@@ -1,0 +1,496 @@
+"""The native layout: one folder per scene.
+
+::
+
+    scene.json
+    template.obj            H*W vertices in row-major order, quads; vt = (u, v) with v DOWN
+    texture.png
+    rgbs/rgb_000.png ...
+    masks/mask_000.png ...  0 outside, 255 inside
+    ground_truth/vertices.npy                         (F, H, W, 3) [m], optional
+    ground_truth/point_cloud_000.npy (.pt, .ply) ...  (N, 3) [m], optional
+
+Keys of ``scene.json``:
+
+- ``fps``, ``n_frames``
+- ``image_size``: [height, width] of the images in the folder [px], in this order
+- ``K``: 3x3 intrinsic matrix [px], pixel = K (X / Z), (0, 0) at the top-left image corner
+- ``gravity``: [m/s²]; ``cloth_size_m``: [along axis 0, along axis 1]; ``grid``: [H, W]
+- ``held_vertices``: indices i * W + j, may be empty
+- ``units``: a text that says "metres"
+- optional: ``id`` (name of the scene), ``convention`` (text for people), ``files`` (other paths for
+  "template", "texture", "rgb", "mask"), ``crop`` ([top, left]) and ``original_size`` ([height, width]) if the
+  images were cut from larger ones; ``K`` always belongs to the images in the folder.
+
+Everything is in the OpenCV camera frame (x right, y down, z forward, metres), so nothing is converted here.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from toile.errors import InputError
+from toile.geometry.camera import Camera
+from toile.geometry.io import PolygonMesh, read_mesh, write_mesh, write_point_cloud
+from toile.scenes.findings import Finding, Severity, attempt, has_errors, require
+from toile.scenes.images import numbered_files, read_rgb, write_image
+from toile.scenes.recording import ImageCheck, Recording, check_image_files, limited, to_scene
+from toile.scenes.scene import Scene
+from toile.scenes.texture_coordinates import Texturing, from_file
+from toile.scenes.validation import (
+    check_camera,
+    check_faces,
+    check_held_vertices,
+    check_template,
+    check_timing,
+)
+
+FILES = {
+    "template": "template.obj",
+    "texture": "texture.png",
+    "rgb": "rgbs/rgb_%03d.png",
+    "mask": "masks/mask_%03d.png",
+}
+CONVENTION = (
+    "OpenCV camera coordinates: x right, y down, z forward, metres; camera at the origin. Pixel = K (X / Z), "
+    "(0, 0) at the top-left image corner. Grid vertex index = i * W + j. template.obj vt = (u, v), v "
+    "measured down from the top row of texture.png. Sizes and crop are (vertical, horizontal)."
+)
+
+
+def load_native(
+    folder: Path | str,
+    *,
+    n_frames: int | None = None,
+    crop_margin: int | None = 24,
+    minimum_component: float = 0.1,
+    texture_coordinates: Texturing = from_file,
+    fps: float | None = None,
+    gravity: Sequence[float] | None = None,
+    held_vertices: Sequence[int] | None = None,
+) -> Scene:
+    """Load a scene in the native layout.
+
+    Args:
+        folder: folder of the scene.
+        n_frames: load only the first ones; None for all.
+        crop_margin: crop to the bounding box of all masks plus this margin [px]; None keeps whole images.
+        minimum_component: drop mask components smaller than this fraction of the largest; 0 keeps all.
+        texture_coordinates: from_file, projected, or another function of that signature.
+        fps: replaces the file's frame rate.
+        gravity: replaces the file's gravity [m/s²].
+        held_vertices: replaces the file's held vertices.
+
+    Raises:
+        InputError: the first thing that is wrong; scenes.doctor lists them all.
+    """
+    recording, findings = survey_native(folder, n_frames=n_frames)
+    notes = tuple(str(f) for f in require(findings) if f.severity is Severity.WARNING)
+    assert recording is not None
+    changes: dict[str, Any] = {"notes": (*recording.notes, *notes)}
+    if fps is not None:
+        changes["fps"] = float(fps)
+    if gravity is not None:
+        changes["gravity"] = torch.tensor(list(gravity), dtype=torch.float64)
+    if held_vertices is not None:
+        changes["held_vertices"] = tuple(int(k) for k in held_vertices)
+    return to_scene(
+        replace(recording, **changes),
+        crop_margin=crop_margin,
+        minimum_component=minimum_component,
+        texture_coordinates=texture_coordinates,
+    )
+
+
+def write_native(scene: Scene, folder: Path | str, *, overwrite: bool = False) -> Path:
+    """Write a scene in the native layout, so that ``load_native(folder, crop_margin=None)`` gives it back.
+
+    Images are rounded to 8 bits; everything else is kept exactly. The folder appears only when it is
+    complete: it is written beside the target under another name and renamed.
+
+    Args:
+        scene: the scene; ground truth is written if it has any.
+        folder: target; must not exist unless ``overwrite``.
+        overwrite: replace an existing folder.
+
+    Returns:
+        The folder.
+
+    Raises:
+        InputError: the folder exists and ``overwrite`` is False.
+    """
+    folder = Path(folder)
+    if folder.exists() and not overwrite:
+        raise InputError(
+            "Scene folder exists already",
+            where=str(folder),
+            expected="a folder that does not exist, or overwrite=True",
+            got="an existing file or folder",
+        )
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    scratch = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+    try:
+        new = scratch / "new"
+        new.mkdir()
+        _write_files(scene, new)
+        if folder.exists():
+            folder.rename(scratch / "old")
+        new.rename(folder)
+    finally:
+        shutil.rmtree(scratch)
+    return folder
+
+
+def survey_native(
+    folder: Path | str, *, n_frames: int | None = None, check_images: ImageCheck = check_image_files
+) -> tuple[Recording | None, list[Finding]]:
+    """Read everything but the images' contents and collect what is wrong.
+
+    Args:
+        folder: folder of the scene.
+        n_frames: consider only the first frames; None for all.
+        check_images: check_image_files reads headers only, check_image_contents decodes.
+
+    Returns:
+        The recording, or None if anything needed for it failed, and all findings.
+    """
+    folder = Path(folder)
+    findings: list[Finding] = []
+    description = attempt(findings, lambda: _read_description(folder))
+    if description is None:
+        return None, findings
+    path = folder / "scene.json"
+    missing = [key for key in _PARSERS if key not in description]
+    findings += [
+        Finding(
+            Severity.ERROR,
+            f"Key '{key}' is missing",
+            str(path),
+            f"'{key}': {_PARSERS[key][1]}",
+            f"keys {', '.join(description) or 'none'}",
+        )
+        for key in missing
+    ]
+    values: dict[str, Any] = {}
+    for key, (parse, expected) in {**_PARSERS, **_OPTIONAL}.items():
+        if key in description:
+            values[key] = attempt(
+                findings,
+                lambda key=key, parse=parse, expected=expected: _parse(  # type: ignore[misc]
+                    path, key, description[key], parse, expected
+                ),
+            )
+    files = {**FILES, **(values.get("files") or {})}
+    grid, size, intrinsics = values.get("grid"), values.get("image_size"), values.get("K")
+
+    camera = None
+    if size is not None and intrinsics is not None:
+        camera = Camera(intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3], *size)
+        findings += check_camera(camera, f"{path}: K")
+    if values.get("fps") is not None:
+        findings += check_timing(values["fps"], str(path))
+    if grid is not None and values.get("held_vertices") is not None:
+        findings += check_held_vertices(values["held_vertices"], grid, str(path))
+
+    frame_paths: tuple[Path, ...] = ()
+    mask_paths: tuple[Path, ...] = ()
+    if values.get("n_frames") is not None:
+        n = attempt(findings, lambda: limited(values["n_frames"], n_frames, str(folder)))
+        if n is not None:
+            frame_paths, mask_paths = (_sequence(folder, files[key], n) for key in ("rgb", "mask"))
+        if size is not None:
+            findings += check_images(frame_paths, mask_paths, size)
+        findings += _surplus(folder, files, values["n_frames"])
+
+    texture = attempt(findings, lambda: read_rgb(folder / files["texture"]))
+    mesh = attempt(findings, lambda: read_mesh(folder / files["template"]))
+    template = coordinates = None
+    if mesh is not None and grid is not None:
+        where = str(folder / files["template"])
+        found = check_faces(mesh, grid, where)
+        if not has_errors(found) and values.get("cloth_size_m") is not None:
+            found += [
+                finding
+                for finding in check_template(mesh.vertices, grid, values["cloth_size_m"], where)
+                if finding.severity is not Severity.INFO
+            ]
+        findings += found
+        if not has_errors(found):
+            template = mesh.vertices.reshape(*grid, 3)
+            coordinates = attempt(findings, lambda: grid_texture_coordinates(mesh, grid, where))
+
+    clouds = attempt(findings, lambda: find_point_clouds(folder / "ground_truth"))
+    if has_errors(findings) or camera is None or template is None or texture is None or coordinates is None:
+        return None, findings
+    true_vertices = folder / "ground_truth" / "vertices.npy"
+    recording = Recording(
+        name=str(values.get("id") or folder.resolve().name),
+        source=folder,
+        frame_paths=frame_paths,
+        mask_paths=mask_paths,
+        camera=camera,
+        template=template,
+        texture=texture.to(torch.float32) / 255,
+        texture_coordinates=coordinates,
+        cloth_size=values["cloth_size_m"],
+        gravity=torch.tensor(values["gravity"], dtype=torch.float64),
+        fps=values["fps"],
+        held_vertices=values["held_vertices"],
+        true_vertices=true_vertices if true_vertices.is_file() else None,
+        true_point_clouds=clouds or (),
+        crop=values.get("crop") or (0, 0),
+        original_size=values.get("original_size") or (camera.height, camera.width),
+    )
+    return recording, findings
+
+
+def grid_texture_coordinates(mesh: PolygonMesh, grid: tuple[int, int], where: str) -> Tensor:
+    """Texture coordinates of a grid mesh, (H, W, 2), float32, as in the file.
+
+    Raises:
+        InputError: no coordinates, a vertex without, or a vertex with two (a seam).
+    """
+    uv = mesh.texture_coordinates
+    expected = "one (u, v) per vertex"
+    if uv is None:
+        raise InputError(
+            "Template has no texture coordinates", where=where, expected=expected, got="no 'vt' used"
+        )
+    without = (~uv.isfinite()).any(-1).nonzero().flatten()
+    if len(without):
+        raise InputError(
+            "Template vertices lack texture coordinates",
+            where=where,
+            expected=expected,
+            got=f"{len(without)} without or not finite, first vertex {int(without[0])} (zero-based)",
+        )
+    if mesh.seam_vertices:
+        raise InputError(
+            "Template has a texture seam",
+            where=where,
+            expected=expected,
+            got=f"{len(mesh.seam_vertices)} vertices with several, first {mesh.seam_vertices[0]}",
+        )
+    return uv.reshape(*grid, 2).to(torch.float32)
+
+
+def find_point_clouds(folder: Path) -> tuple[Path, ...]:
+    """Files ``point_cloud_%03d`` of a folder, in order and without a gap; empty if there are none.
+
+    Raises:
+        InputError: one is missing before the last.
+    """
+    for suffix in (".pt", ".npy", ".ply"):
+        found = numbered_files(folder, "point_cloud_", suffix)
+        if found:
+            gap = next((k for k in range(max(found)) if k not in found), None)
+            if gap is not None:
+                raise InputError(
+                    f"Point cloud point_cloud_{gap:03d}{suffix} is missing",
+                    where=str(folder),
+                    expected=f"one for every frame from 0 to {max(found)}",
+                    got=f"{len(found)} files",
+                )
+            return tuple(found.values())
+    return ()
+
+
+def _read_description(folder: Path) -> dict[str, Any]:
+    path = folder / "scene.json"
+    if not folder.is_dir():
+        there = sorted(p.name for p in folder.parent.iterdir()) if folder.parent.is_dir() else []
+        got = f"no such folder; {folder.parent} holds {', '.join(there[:20]) or 'nothing'}"
+        raise InputError("Scene folder is missing", where=str(folder), expected="a folder", got=got)
+    if not path.is_file():
+        there = sorted(p.name for p in folder.iterdir())
+        raise InputError(
+            "scene.json is missing",
+            where=str(folder),
+            expected="scene.json, template.obj, texture.png, rgbs/, masks/",
+            got=", ".join(there[:20]) or "an empty folder",
+        )
+    try:
+        description = json.loads(path.read_text())
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise InputError(
+            "scene.json is no valid JSON", where=str(path), expected="JSON", got=str(error)
+        ) from error
+    if not isinstance(description, dict):
+        got = type(description).__name__
+        raise InputError("scene.json is no JSON object", where=str(path), expected="{...}", got=got)
+    return description
+
+
+def _parse(path: Path, key: str, value: Any, parse: Callable[[Any], Any], expected: str) -> Any:
+    try:
+        return parse(value)
+    except (ValueError, TypeError, IndexError, KeyError) as error:
+        raise InputError(
+            f"Key '{key}' cannot be understood",
+            where=f"{path}: {key}",
+            expected=expected,
+            got=f"{str(value)[:100]} ({error})",
+        ) from error
+
+
+def _number(value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError("not a number")
+    return float(value)
+
+
+def _count(value: Any) -> int:
+    if _number(value) != int(value):
+        raise ValueError("not a whole number")
+    return int(value)
+
+
+def _at_least(minimum: int) -> Callable[[Any], int]:
+    def parse(value: Any) -> int:
+        if _count(value) < minimum:
+            raise ValueError(f"less than {minimum}")
+        return int(value)
+
+    return parse
+
+
+def _list_of(item: Callable[[Any], Any], n: int | None = None) -> Callable[[Any], tuple[Any, ...]]:
+    def parse(value: Any) -> tuple[Any, ...]:
+        if not isinstance(value, list) or (n is not None and len(value) != n):
+            raise ValueError("not a list" if n is None else f"not a list of {n}")
+        return tuple(item(v) for v in value)
+
+    return parse
+
+
+def _finite(value: Any) -> float:
+    if not math.isfinite(_number(value)):
+        raise ValueError("not finite")
+    return float(value)
+
+
+def _positive(value: Any) -> float:
+    if _finite(value) <= 0:
+        raise ValueError("not positive")
+    return float(value)
+
+
+def _intrinsics(value: Any) -> tuple[float, float, float, float]:
+    rows = _list_of(_list_of(_finite, 3), 3)(value)
+    (fx, skew, cx), (lower, fy, cy), last = rows
+    if last != (0, 0, 1):
+        raise ValueError(
+            "the last row is not 0 0 1; K may be transposed" if last[0] or last[1] else "K[2][2] is not 1"
+        )
+    if skew or lower:
+        raise ValueError("skew is not supported")
+    return fx, fy, cx, cy
+
+
+def _metres(value: Any) -> str:
+    if not isinstance(value, str) or not any(
+        w.strip(",;.") in ("m", "metres", "meters") for w in value.split()
+    ):
+        raise ValueError(
+            "only metres are supported; convert the template, the cloth size and the ground truth"
+        )
+    return value
+
+
+def _relative_files(value: Any) -> dict[str, str]:
+    if not isinstance(value, dict) or not all(isinstance(v, str) for v in value.values()):
+        raise ValueError("not an object of paths")
+    for key in ("rgb", "mask"):
+        if key in value:
+            value[key] % 0
+    return value
+
+
+_PARSERS: dict[str, tuple[Callable[[Any], Any], str]] = {
+    "fps": (_number, "frames per second, a number > 0"),
+    "n_frames": (_at_least(1), "number of frames, a whole number > 0"),
+    "image_size": (_list_of(_at_least(1), 2), "[height, width] in px"),
+    "K": (_intrinsics, "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in px, finite"),
+    "gravity": (_list_of(_finite, 3), "[x, y, z] in m/s², finite"),
+    "cloth_size_m": (_list_of(_positive, 2), "[along axis 0, along axis 1] in m, positive"),
+    "grid": (_list_of(_at_least(2), 2), "[H, W], whole numbers >= 2"),
+    "held_vertices": (_list_of(_count), "list of indices i * W + j, may be empty"),
+    "units": (_metres, 'a text with the word "metres"'),
+}
+_OPTIONAL: dict[str, tuple[Callable[[Any], Any], str]] = {
+    "files": (_relative_files, 'paths for "template", "texture", "rgb", "mask", the last two with %03d'),
+    "crop": (_list_of(_count, 2), "[top, left] in px"),
+    "original_size": (_list_of(_at_least(0), 2), "[height, width] in px"),
+    "id": (str, "name of the scene"),
+}
+
+
+def _sequence(folder: Path, pattern: str, n: int) -> tuple[Path, ...]:
+    return tuple(folder / (pattern % k) for k in range(n))
+
+
+def _surplus(folder: Path, files: dict[str, str], n: int) -> list[Finding]:
+    """A warning for images beyond the declared number, which are not loaded."""
+    findings = []
+    for key in ("rgb", "mask"):
+        path = folder / (files[key] % n)
+        if path.is_file():
+            where, expected = str(path.parent), f"{n} images, as n_frames says"
+            got = f"also {path.name}, which is not loaded"
+            findings.append(Finding(Severity.WARNING, "More images than n_frames", where, expected, got))
+    return findings
+
+
+def _write_files(scene: Scene, folder: Path) -> None:
+    H, W = scene.grid
+    camera = scene.camera
+    description = {
+        "id": scene.name,
+        "fps": scene.fps,
+        "n_frames": scene.n_frames,
+        "image_size": [camera.height, camera.width],
+        "K": [[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]],
+        "gravity": scene.gravity.tolist(),
+        "cloth_size_m": list(scene.cloth_size),
+        "grid": [H, W],
+        "held_vertices": list(scene.held_vertices),
+        "units": "metres, seconds",
+        "crop": list(scene.crop),
+        "original_size": list(scene.original_size),
+        "convention": CONVENTION,
+        "files": FILES,
+    }
+    (folder / "scene.json").write_text(json.dumps(description, indent=1) + "\n")
+    k = torch.arange(H * W).reshape(H, W)
+    quads = torch.stack((k[:-1, :-1], k[:-1, 1:], k[1:, 1:], k[1:, :-1]), -1).reshape(-1, 4).tolist()
+    write_mesh(
+        folder / FILES["template"],
+        scene.template.reshape(-1, 3),
+        quads,
+        scene.texture_coordinates.reshape(-1, 2),
+    )
+    write_image(folder / FILES["texture"], scene.texture)
+    for key, images in (("rgb", scene.frames), ("mask", scene.masks)):
+        paths = _sequence(folder, FILES[key], scene.n_frames)
+        paths[0].parent.mkdir()
+        for path, image in zip(paths, images, strict=True):
+            write_image(path, image)
+    truth = scene.ground_truth
+    if truth is not None and (truth.vertices is not None or truth.point_clouds is not None):
+        target = folder / "ground_truth"
+        target.mkdir()
+        if truth.vertices is not None:
+            np.save(target / "vertices.npy", truth.vertices.detach().cpu().numpy())
+        for number, cloud in enumerate(truth.point_clouds or ()):
+            write_point_cloud(target / f"point_cloud_{number:03d}.npy", cloud)
