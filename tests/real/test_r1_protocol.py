@@ -1,4 +1,4 @@
-"""The Chamfer protocol on the published scene R1: known baselines must come out before any fit is judged by it.
+"""The Chamfer protocol on the published scene R1: known baselines must come out first.
 
 The data is found in ``$TOILE_DATA`` (default ``./data``): phi_sft/R1 and phi_sft/ground_truth/R1.
 """

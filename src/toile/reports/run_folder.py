@@ -18,12 +18,9 @@ Every file is written under a temporary name and then renamed, so a file that ex
 from __future__ import annotations
 
 import json
-import os
 import subprocess
-import tempfile
 import zipfile
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
@@ -33,6 +30,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from toile.errors import InputError
+from toile.reports.atomic_file import write_text, written_atomically
 
 T = TypeVar("T")
 
@@ -137,34 +135,6 @@ def open_run_folder(path: Path) -> RunFolder:
             got=found or "an empty folder",
         )
     return run
-
-
-@contextmanager
-def written_atomically(path: Path) -> Iterator[Path]:
-    """Give a temporary path beside ``path`` (same suffix); rename it to ``path`` when the block succeeds.
-
-    After an exception ``path`` is as it was before and the temporary file is gone.
-    """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
-    os.close(handle)
-    temporary = Path(name)
-    try:
-        yield temporary
-        # mkstemp makes files private; give the result the mode any other file would get.
-        umask = os.umask(0)
-        os.umask(umask)
-        temporary.chmod(0o666 & ~umask)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def write_text(path: Path, text: str) -> Path:
-    """Write UTF-8 text atomically; returns ``path``."""
-    with written_atomically(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-    return path
 
 
 def write_config(run: RunFolder, text: str) -> Path:

@@ -9,6 +9,7 @@ import pytest
 
 from toile.errors import InputError
 from toile.reports import run_folder as rf
+from toile.reports.atomic_file import written_atomically
 
 
 @pytest.fixture
@@ -51,7 +52,7 @@ def test_a_failed_write_keeps_the_old_file(run: rf.RunFolder) -> None:
     rf.write_config(run, "old")
 
     def fail_halfway() -> None:
-        with rf.written_atomically(run.config) as temporary:
+        with written_atomically(run.config) as temporary:
             temporary.write_text("half")
             raise RuntimeError
 
