@@ -200,8 +200,6 @@ def survey_native(
         findings += check_camera(camera, f"{path}: K")
     if values.get("fps") is not None:
         findings += check_timing(values["fps"], str(path))
-    if grid is not None and values.get("held_vertices") is not None:
-        findings += check_held_vertices(values["held_vertices"], grid, str(path))
 
     frame_paths: tuple[Path, ...] = ()
     mask_paths: tuple[Path, ...] = ()
@@ -230,6 +228,8 @@ def survey_native(
             template = mesh.vertices.reshape(*grid, 3)
             coordinates = attempt(findings, lambda: grid_texture_coordinates(mesh, grid, where))
 
+    if grid is not None and values.get("held_vertices") is not None:
+        findings += check_held_vertices(values["held_vertices"], grid, str(path))
     clouds = attempt(findings, lambda: find_point_clouds(folder / "ground_truth"))
     if has_errors(findings) or camera is None or template is None or texture is None or coordinates is None:
         return None, findings
