@@ -118,16 +118,16 @@ class Renderer(ABC):
 
 
 def to_screen(vertices: Tensor, camera: Camera) -> Tensor:
-    """Project (B, V, 3) [m] to (x [px], y [px], z [m]), float32; differentiable.
+    """Project (B, V, 3) [m] to (x [px], y [px], z [m]); differentiable, in the precision of the input.
 
-    The projection runs in the precision of the input. A vertex at z <= NEAR gets (0, 0, 0), with zero
+    A vertex at z <= NEAR gets (0, 0, 0), with zero
     gradient: the mark by which the later stages skip its faces.
     """
     in_front = vertices[..., 2:] > NEAR
     # Replaced before the division, so that neither the value nor the gradient is ever inf or nan.
     safe = torch.where(in_front, vertices, torch.ones_like(vertices))
     screen = torch.cat((camera.project(safe), safe[..., 2:]), dim=-1)
-    return torch.where(in_front, screen, torch.zeros_like(screen)).float()
+    return torch.where(in_front, screen, torch.zeros_like(screen))
 
 
 def check_supersampling(factor: int) -> int:
@@ -157,8 +157,9 @@ def downsample(images: RenderedImages, factor: int) -> RenderedImages:
 
 
 def _check_mesh(vertices: Tensor, faces: Tensor, camera: Camera) -> None:
-    if vertices.ndim != 3 or vertices.shape[2] != 3 or not vertices.is_floating_point():
-        raise _wrong("vertices", "floating point (B, V, 3) in metres", vertices)
+    is_batch = vertices.ndim == 3 and vertices.shape[2] == 3 and len(vertices) > 0
+    if not is_batch or not vertices.is_floating_point():
+        raise _wrong("vertices", "floating point (B, V, 3) in metres, B >= 1", vertices)
     if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype != torch.int64:
         raise _wrong("faces", "int64 (T, 3)", faces)
     if faces.device != vertices.device:

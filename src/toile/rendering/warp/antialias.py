@@ -3,11 +3,13 @@
 The idea is that of the antialias operation in Laine et al. 2020, section 3.6: an edge that is steeper than
 45° blends horizontal neighbours, any other edge blends vertical neighbours, and the blend weight is how far
 the edge reaches past the middle between the two pixel centres. Summed along an edge, the weights are its
-covered area by the midpoint rule, so the area has exact gradients with respect to the two ends.
+covered area by the midpoint rule, so the area has the right gradient with respect to the two ends.
 
 Unlike there, the work starts from the edges and not from the pixel pairs: each silhouette edge walks along
-the pixel centres that it passes. Foreshortened triangles near a fold's contour, too thin to own a pixel, are
-found this way, and the cost grows with the length of the silhouette rather than with the image.
+the pixel centres that it passes and claims the pair on either side of it. Where several claim one pair, as
+on the ragged contour of a fold whose triangles are smaller than a pixel, the one that reaches furthest
+outwards is the outline and wins. Triangles too thin to own a pixel are found this way, and the cost grows
+with the length of the silhouette rather than with the image.
 """
 
 # Kernels are Python in syntax only: float(0.0) declares a variable that a loop may change, and arrays and
@@ -26,6 +28,16 @@ from toile.rendering.warp.arrays import launch, share
 from toile.rendering.warp.rasterize import edge_function
 
 wp.set_module_options({"enable_backward": False})
+
+CLAIM = wp.constant(0)
+BLEND = wp.constant(1)
+BACKWARD = wp.constant(2)
+SLACK = wp.constant(8.0)
+"""Depth range, in multiples of that of the faces at an edge, in which a pixel shows the same sheet.
+
+Measured on folded grids of 8² to 64² vertices in a 64×48 image: with 0 the area's gradient loses 16 to 40 %
+where triangles are smaller than a pixel, with 4 to 32 it is within 3 %.
+"""
 
 
 @wp.func
@@ -56,18 +68,21 @@ def antialias_kernel(
     n_vertices: int,
     height: int,
     width: int,
+    winners: wp.array[wp.int64],
+    mode: int,
     rgb: wp.array[wp.vec3],
     silhouette: wp.array[float],
-    backward: int,
     grad_rgb: wp.array[wp.vec3],
     grad_silhouette: wp.array[float],
     out_rgb: wp.array[wp.vec3],
     out_silhouette: wp.array[float],
     grad_screen: wp.array[wp.vec3],
 ):
-    """One thread per (frame, edge).
+    """One thread per (frame, edge), in one of three modes.
 
-    Forward, it adds the blend to ``out_*``. Backward, ``out_rgb`` is the gradient with respect to ``rgb``.
+    CLAIM writes to ``winners``, two slots per pixel: the pair with the pixel below and with the one to the
+    right. BLEND adds to ``out_*``. BACKWARD reads the gradients of these in ``grad_*``, and adds those with
+    respect to ``rgb`` to ``out_rgb`` and those with respect to the edge's ends to ``grad_screen``.
     """
     batch, edge = wp.tid()
     first = batch * n_vertices
@@ -107,6 +122,19 @@ def antialias_kernel(
         return
     inside = wp.sign(side_0 + side_1)
 
+    # Depth range of the sheet beside the edge.
+    lowest = wp.min(p0[2], p1[2])
+    highest = wp.max(p0[2], p1[2])
+    for side in range(2):
+        if others[side] >= 0:
+            z = screen[first + others[side]][2]
+            if z > 0.0:
+                lowest = wp.min(lowest, z)
+                highest = wp.max(highest, z)
+    margin = SLACK * (highest - lowest)
+    lowest -= margin
+    highest += margin
+
     n_lines = height
     n_pixels = width
     line_stride = width
@@ -137,17 +165,27 @@ def antialias_kernel(
                 p = here + pixel_stride
                 q = here
                 beyond = -beyond
-            face_p = wp.int32(keys[p])
-            face_q = wp.int32(keys[q])
-            if face_p >= 0 and face_p != face_q:
-                # The inner pixel has to show the cloth beside this edge, else the edge is hidden.
-                c = faces[face_p]
-                visible = (
-                    touches(c, ends[0])
-                    or touches(c, ends[1])
-                    or touches(c, others[0])
-                    or touches(c, others[1])
-                )
+            slot = here * 2 + across
+            if mode == CLAIM:
+                face_p = wp.int32(keys[p])
+                face_q = wp.int32(keys[q])
+                visible = face_p >= 0 and face_p != face_q
+                if visible:
+                    # The inner pixel has to show the cloth beside this edge, else the edge is hidden.
+                    c = faces[face_p]
+                    visible = touches(c, ends[0]) or touches(c, ends[1])
+                    visible = visible or touches(c, others[0]) or touches(c, others[1])
+                    if not visible:
+                        centre = before + 0.5
+                        if inside > 0.0:
+                            centre = before + 1.5
+                        x = centre
+                        y = position
+                        if along == 0:
+                            x = position
+                            y = centre
+                        z = 1.0 / nearness(screen, first, c, x, y)
+                        visible = z > lowest and z < highest
                 if visible and face_q >= 0:
                     # The outer pixel has to show something behind the edge.
                     x = crossing
@@ -157,23 +195,26 @@ def antialias_kernel(
                         y = crossing
                     visible = (1.0 - t) / p0[2] + t / p1[2] > nearness(screen, first, faces[face_q], x, y)
                 if visible:
-                    target = p
-                    if beyond > 0.0:
-                        target = q
-                    if backward == 0:
-                        wp.atomic_add(out_rgb, target, (rgb[p] - rgb[q]) * beyond)
-                        wp.atomic_add(out_silhouette, target, (silhouette[p] - silhouette[q]) * beyond)
-                    else:
-                        g = grad_rgb[target]
-                        wp.atomic_add(out_rgb, p, g * beyond)
-                        wp.atomic_add(out_rgb, q, g * -beyond)
-                        weight = -inside * (
-                            wp.dot(g, rgb[p] - rgb[q])
-                            + grad_silhouette[target] * (silhouette[p] - silhouette[q])
-                        )
-                        grad_0 += weight * (1.0 - t)
-                        grad_1 += weight * t
-    if backward != 0 and (grad_0 != 0.0 or grad_1 != 0.0):
+                    # The edge that reaches furthest over the outer pixel is the outline.
+                    reach = wp.int64((beyond + 0.5) * 16777216.0)
+                    wp.atomic_max(winners, slot, (reach << wp.int64(32)) | wp.int64(edge))
+            elif wp.int32(winners[slot]) == edge:
+                target = p
+                if beyond > 0.0:
+                    target = q
+                if mode == BLEND:
+                    wp.atomic_add(out_rgb, target, (rgb[p] - rgb[q]) * beyond)
+                    wp.atomic_add(out_silhouette, target, (silhouette[p] - silhouette[q]) * beyond)
+                else:
+                    g = grad_rgb[target]
+                    wp.atomic_add(out_rgb, p, g * beyond)
+                    wp.atomic_add(out_rgb, q, g * -beyond)
+                    weight = -inside * (
+                        wp.dot(g, rgb[p] - rgb[q]) + grad_silhouette[target] * (silhouette[p] - silhouette[q])
+                    )
+                    grad_0 += weight * (1.0 - t)
+                    grad_1 += weight * t
+    if mode == BACKWARD and (grad_0 != 0.0 or grad_1 != 0.0):
         at_0 = wp.vec3(grad_0, -slope * grad_0, 0.0)
         at_1 = wp.vec3(grad_1, -slope * grad_1, 0.0)
         if along == 0:
@@ -183,8 +224,20 @@ def antialias_kernel(
         wp.atomic_add(grad_screen, first + ends[1 - low], at_1)
 
 
-def _inputs(screen: Tensor, faces: Tensor, edges: MeshEdges, keys: Tensor) -> list[Any]:
-    return [
+def _run(
+    mode: int,
+    screen: Tensor,
+    faces: Tensor,
+    edges: MeshEdges,
+    keys: Tensor,
+    winners: Tensor,
+    rgb: Tensor,
+    silhouette: Tensor,
+    grads: tuple[Tensor, Tensor],
+    outs: tuple[Tensor, Tensor],
+    grad_screen: Tensor,
+) -> None:
+    inputs = [
         share(screen, wp.vec3),
         share(faces, wp.vec3i),
         share(edges.vertices, wp.vec2i),
@@ -193,7 +246,17 @@ def _inputs(screen: Tensor, faces: Tensor, edges: MeshEdges, keys: Tensor) -> li
         screen.shape[1],
         keys.shape[1],
         keys.shape[2],
+        share(winners, wp.int64),
+        mode,
+        share(rgb, wp.vec3),
+        share(silhouette, wp.float32),
+        share(grads[0], wp.vec3),
+        share(grads[1], wp.float32),
+        share(outs[0], wp.vec3),
+        share(outs[1], wp.float32),
+        share(grad_screen, wp.vec3),
     ]
+    launch(antialias_kernel, (screen.shape[0], edges.vertices.shape[0]), inputs, screen.device)
 
 
 class Antialias(torch.autograd.Function):
@@ -210,43 +273,34 @@ class Antialias(torch.autograd.Function):
         keys: Tensor,
     ) -> tuple[Tensor, Tensor]:
         """Blend ``rgb`` (B, h, w, 3) and ``silhouette`` (B, h, w); all indices int32."""
-        out_rgb = rgb.clone()
-        out_silhouette = silhouette.clone()
-        inputs = [
-            *_inputs(screen, faces, edges, keys),
-            share(rgb, wp.vec3),
-            share(silhouette, wp.float32),
-            0,
-            share(rgb, wp.vec3),
-            share(silhouette, wp.float32),
-            share(out_rgb, wp.vec3),
-            share(out_silhouette, wp.float32),
-            share(screen, wp.vec3),
-        ]
-        launch(antialias_kernel, (screen.shape[0], edges.vertices.shape[0]), inputs, screen.device)
-        ctx.save_for_backward(screen, rgb, silhouette, faces, keys)
+        winners = torch.full((*keys.shape, 2), -1, dtype=torch.int64, device=keys.device)
+        before = rgb, silhouette
+        after = rgb.clone(), silhouette.clone()
+        for mode in (CLAIM, BLEND):
+            _run(mode, screen, faces, edges, keys, winners, rgb, silhouette, before, after, screen)
+        ctx.save_for_backward(screen, rgb, silhouette, faces, keys, winners)
         ctx.edges = edges
-        return out_rgb, out_silhouette
+        return after
 
     @staticmethod
     def backward(ctx: Any, *grads: Any) -> Any:
         """Gradients to screen (B, V, 3) and to the colour before blending."""
-        screen, rgb, silhouette, faces, keys = ctx.saved_tensors
-        grad_rgb = grads[0].contiguous()
-        grad_silhouette = grads[1].contiguous()
-        grad_in = grad_rgb.clone()
+        screen, rgb, silhouette, faces, keys, winners = ctx.saved_tensors
+        grad_after = grads[0].contiguous(), grads[1].contiguous()
+        grad_before = grad_after[0].clone()
         grad_screen = torch.zeros_like(screen)
-        inputs = [
-            *_inputs(screen, faces, ctx.edges, keys),
-            share(rgb, wp.vec3),
-            share(silhouette, wp.float32),
-            1,
-            share(grad_rgb, wp.vec3),
-            share(grad_silhouette, wp.float32),
-            share(grad_in, wp.vec3),
-            share(grad_silhouette, wp.float32),
-            share(grad_screen, wp.vec3),
-        ]
-        launch(antialias_kernel, (screen.shape[0], ctx.edges.vertices.shape[0]), inputs, screen.device)
+        _run(
+            BACKWARD,
+            screen,
+            faces,
+            ctx.edges,
+            keys,
+            winners,
+            rgb,
+            silhouette,
+            grad_after,
+            (grad_before, grad_after[1]),
+            grad_screen,
+        )
         # Coverage before blending is 0 or 1 and has no gradient.
-        return grad_screen, grad_in, None, None, None, None
+        return grad_screen, grad_before, None, None, None, None

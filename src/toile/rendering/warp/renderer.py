@@ -50,7 +50,7 @@ class WarpRenderer(Renderer):
     ) -> RenderedImages:
         fine = camera.scaled(self.supersampling)
         faces32, edges = self._indices(faces)
-        screen = to_screen(vertices, fine).contiguous()
+        screen = to_screen(vertices, fine).float().contiguous()
         keys = rasterize(screen.detach(), faces32, fine.height, fine.width)
         uv, depth = Interpolate.apply(screen, texture_coordinates.float().contiguous(), faces32, keys)
         rgb, silhouette = Texture.apply(uv, texture.float().contiguous(), depth.detach())
@@ -59,7 +59,7 @@ class WarpRenderer(Renderer):
 
     def _rasterize(self, vertices: Tensor, faces: Tensor, camera: Camera) -> Fragments:
         faces32, _ = self._indices(faces)
-        screen = to_screen(vertices, camera).contiguous()
+        screen = to_screen(vertices, camera).float().contiguous()
         return fragments(screen, faces32, rasterize(screen, faces32, camera.height, camera.width))
 
     def _indices(self, faces: Tensor) -> tuple[Tensor, MeshEdges]:
