@@ -237,8 +237,8 @@ def evaluate(
             METRES_TO_MILLIMETRES * point_to_surface(c, v, faces)
             for v, c in zip(vertices, clouds, strict=True)
         ]
-        add("chamfer", "Chamfer distance, squared", "1e-4 m²", CHAMFER_PROTOCOL + cloud_note, squared)
-        add("chamfer_l1", "Chamfer distance, L1", "mm", CHAMFER_L1_PROTOCOL + cloud_note, l1)
+        add("chamfer", "Squared Chamfer distance", "×10⁻⁴ m²", CHAMFER_PROTOCOL + cloud_note, squared)
+        add("chamfer_l1", "L1 Chamfer distance", "mm", CHAMFER_L1_PROTOCOL + cloud_note, l1)
         add("point_to_surface", "Point to surface", "mm", POINT_TO_SURFACE_PROTOCOL + cloud_note, to_surface)
 
     if true_vertices is None:

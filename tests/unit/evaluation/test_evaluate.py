@@ -140,7 +140,7 @@ def test_tables_carry_units_protocol_and_mean(make_scene: MakeScene) -> None:
     result = evaluate(still(scene), scene)
     table = result.per_frame_table()
     assert list(table.index) == ["0", "1", "2", "mean"]
-    assert table.loc["mean", "chamfer [1e-4 m²]"] == pytest.approx(result.mean("chamfer"))
+    assert table.loc["mean", "chamfer [×10⁻⁴ m²]"] == pytest.approx(result.mean("chamfer"))
     summary = result.summary_table()
     assert "Eq. 18" in summary.loc["chamfer", "protocol"]
     assert summary.loc["point_to_surface", "unit"] == "mm"
