@@ -1,4 +1,6 @@
-"""Speed and accuracy of the renderers: ``python benchmarks/bench_rendering.py [--device cuda] [--frames 1 8]``.
+"""Speed and accuracy of the renderers.
+
+``python benchmarks/bench_rendering.py [--device cuda] [--frames 1 8]`` prints two tables.
 
 The scene is like a crop of a real recording: 32×32 vertices (1922 faces) that fill about 90 % of 450×450 px.
 """
@@ -11,7 +13,6 @@ import time
 from collections.abc import Callable
 
 import torch
-from tabulate import tabulate
 from torch import Tensor
 
 from toile.geometry.camera import Camera
@@ -52,6 +53,7 @@ def milliseconds(call: Callable[[], object], device: torch.device, repeats: int 
 
 def speed(frames: int, device: torch.device) -> list[list[object]]:
     """Milliseconds per frame, forward and backward, of each stage and of the whole."""
+    renderer = WarpRenderer()
     vertices, faces, coordinates = (x.to(device) for x in cloth(frames))
     texture = torch.rand(450, 450, 3, generator=torch.Generator().manual_seed(0)).to(device)
     vertices.requires_grad_()
@@ -81,8 +83,6 @@ def speed(frames: int, device: torch.device) -> list[list[object]]:
     rgb, silhouette = time_stage("texture", lambda: Texture.apply(uv, texture, depth.detach()))
     time_stage("antialias", lambda: Antialias.apply(screen, rgb, silhouette, faces32, edges, keys))
 
-    renderer = WarpRenderer()
-
     def whole() -> tuple[Tensor, ...]:
         images = renderer.render(vertices, faces, coordinates, texture, CAMERA)
         return images.rgb, images.silhouette
@@ -109,6 +109,13 @@ def accuracy() -> list[list[object]]:
     return rows
 
 
+def print_table(headers: list[str], rows: list[list[object]], number: str) -> None:
+    """Print a Markdown table, with floats in the format ``number``."""
+    lines = [headers, ["---"] * len(headers)]
+    lines += [[format(x, number) if isinstance(x, float) else str(x) for x in row] for row in rows]
+    print("\n".join("| " + " | ".join(line) + " |" for line in lines))
+
+
 def main() -> None:
     """Print both tables."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -120,10 +127,10 @@ def main() -> None:
     for frames in arguments.frames:
         print(f"\nms per frame, {frames} frame(s) a call, on {device}, one thread")
         headers = ["stage", "forward", "backward", "both"]
-        print(tabulate(speed(frames, device), headers, floatfmt=".2f", tablefmt="github"))
+        print_table(headers, speed(frames, device), ".2f")
     print("\nerrors against 16 × 16 samples per pixel, 112 × 112 px")
     headers = ["renderer", "supersampling", "coverage, mean at the border", "worst", "area", "colour, mean"]
-    print(tabulate(accuracy(), headers, floatfmt=".5f", tablefmt="github"))
+    print_table(headers, accuracy(), ".5f")
 
 
 if __name__ == "__main__":

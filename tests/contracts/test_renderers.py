@@ -156,6 +156,16 @@ def test_faces_with_a_vertex_behind_the_camera_are_skipped(back_end):
     assert vertices.grad[0, 3].tolist() == [0, 0, 0]
 
 
+def test_faces_with_a_nan_vertex_are_skipped(back_end):
+    if back_end == "nvdiffrast":
+        pytest.skip("nvdiffrast: not known what it does with nan")
+    vertices = torch.cat((rectangle(1, 1, 5, 5), torch.full((1, 1, 3), torch.nan)), dim=1)
+    images = draw(back_end, vertices, [*QUAD, [0, 1, 4]])
+    alone = draw(back_end, rectangle(1, 1, 5, 5), QUAD)
+    assert torch.equal(images.silhouette, alone.silhouette)
+    assert torch.equal(images.depth, alone.depth)
+
+
 def test_nothing_in_view_is_black(back_end):
     for vertices in (rectangle(20, 20, 30, 30), -rectangle(1, 1, 5, 5)):
         images = draw(back_end, vertices, QUAD)

@@ -9,7 +9,8 @@ Unlike there, the work starts from the edges and not from the pixel pairs: each 
 the pixel centres that it passes and claims the pair on either side of it. Where several claim one pair, as
 on the ragged contour of a fold whose triangles are smaller than a pixel, the one that reaches furthest
 outwards is the outline and wins. Triangles too thin to own a pixel are found this way, and the cost grows
-with the length of the silhouette rather than with the image.
+with the length of the silhouette rather than with the image. A pixel at the image's border is not blended
+with what lies beyond it.
 """
 
 # Kernels are Python in syntax only: float(0.0) declares a variable that a loop may change, and arrays and
@@ -22,6 +23,7 @@ from typing import Any
 import torch
 import warp as wp
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from toile.rendering.edges import MeshEdges
 from toile.rendering.warp.arrays import launch, share
@@ -259,6 +261,16 @@ def _run(
     launch(antialias_kernel, (screen.shape[0], edges.vertices.shape[0]), inputs, screen.device)
 
 
+def _claim(
+    screen: Tensor, faces: Tensor, edges: MeshEdges, keys: Tensor, rgb: Tensor, silhouette: Tensor
+) -> Tensor:
+    """Winning edge of each pixel pair (B, h, w, 2), int64; in its low 32 bits, -1 where there is none."""
+    winners = torch.full((*keys.shape, 2), -1, dtype=torch.int64, device=keys.device)
+    images = rgb, silhouette
+    _run(CLAIM, screen, faces, edges, keys, winners, rgb, silhouette, images, images, screen)
+    return winners
+
+
 class Antialias(torch.autograd.Function):
     """(screen, colour, coverage) -> colour and coverage, blended across the silhouette."""
 
@@ -273,22 +285,24 @@ class Antialias(torch.autograd.Function):
         keys: Tensor,
     ) -> tuple[Tensor, Tensor]:
         """Blend ``rgb`` (B, h, w, 3) and ``silhouette`` (B, h, w); all indices int32."""
-        winners = torch.full((*keys.shape, 2), -1, dtype=torch.int64, device=keys.device)
         before = rgb, silhouette
         after = rgb.clone(), silhouette.clone()
-        for mode in (CLAIM, BLEND):
-            _run(mode, screen, faces, edges, keys, winners, rgb, silhouette, before, after, screen)
-        ctx.save_for_backward(screen, rgb, silhouette, faces, keys, winners)
+        winners = _claim(screen, faces, edges, keys, rgb, silhouette)
+        _run(BLEND, screen, faces, edges, keys, winners, rgb, silhouette, before, after, screen)
+        ctx.save_for_backward(screen, rgb, silhouette, faces, keys)
         ctx.edges = edges
         return after
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, *grads: Any) -> Any:
         """Gradients to screen (B, V, 3) and to the colour before blending."""
-        screen, rgb, silhouette, faces, keys, winners = ctx.saved_tensors
+        screen, rgb, silhouette, faces, keys = ctx.saved_tensors
         grad_after = grads[0].contiguous(), grads[1].contiguous()
         grad_before = grad_after[0].clone()
         grad_screen = torch.zeros_like(screen)
+        # Claimed anew: cheaper than to keep 16 bytes per pixel until here.
+        winners = _claim(screen, faces, ctx.edges, keys, rgb, silhouette)
         _run(
             BACKWARD,
             screen,

@@ -14,6 +14,7 @@ from typing import Any
 import torch
 import warp as wp
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from toile.rendering.warp.arrays import launch, share, span
 from toile.rendering.warp.rasterize import edge_function
@@ -289,6 +290,7 @@ class Interpolate(torch.autograd.Function):
         return uv, depth
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, *grads: Any) -> Any:
         """Gradients to screen (B, V, 3) and coordinates (V, 2)."""
         screen, coordinates, faces, keys, uv, depth = ctx.saved_tensors

@@ -9,6 +9,7 @@ from typing import Any
 import torch
 import warp as wp
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from toile.rendering.warp.arrays import launch, share, span
 
@@ -135,6 +136,7 @@ class Texture(torch.autograd.Function):
         return rgb, silhouette
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, *grads: Any) -> Any:
         """Gradients to uv and to the texture."""
         uv, texture, depth = ctx.saved_tensors
