@@ -63,7 +63,9 @@ def grid_masses(height: int, width: int, cloth_size: tuple[float, float], areal_
     return (areal_density * cell * factor).reshape(-1)
 
 
-def uniform_rest_lengths(stencils: Stencils, grid: tuple[int, int], cloth_size: tuple[float, float]) -> Tensor:
+def uniform_rest_lengths(
+    stencils: Stencils, grid: tuple[int, int], cloth_size: tuple[float, float]
+) -> Tensor:
     """Rest length of every edge of a flat grid of the given size [m] (as in the paper)."""
     along_i = (stencils.edges[:, 1] - stencils.edges[:, 0]) == grid[1]
     step_i, step_j = cloth_size[0] / (grid[0] - 1), cloth_size[1] / (grid[1] - 1)

@@ -61,7 +61,9 @@ def rollout(
     """
     n_frames = forces.shape[1] + 1
     if anchors.shape[1] != n_frames:
-        raise ValueError(f"anchors: expected {n_frames} frames as given by the forces, got {anchors.shape[1]}")
+        raise ValueError(
+            f"anchors: expected {n_frames} frames as given by the forces, got {anchors.shape[1]}"
+        )
     frames = [state.positions]
     every = [state.positions.detach()]
     steps: list[StepResult] = []
@@ -70,7 +72,11 @@ def rollout(
         for sub in range(1, substeps + 1):
             n = (frame - 1) * substeps + sub
             fraction = sub / substeps
-            target = anchors[:, frame] if sub == substeps else torch.lerp(anchors[:, frame - 1], anchors[:, frame], fraction)
+            target = (
+                anchors[:, frame]
+                if sub == substeps
+                else torch.lerp(anchors[:, frame - 1], anchors[:, frame], fraction)
+            )
             guess = None
             if warm_start is not None and n < warm_start.shape[1]:
                 guess = warm_start[:, n] if correction is None else warm_start[:, n] + correction

@@ -7,7 +7,9 @@ from torch import Tensor
 from toile.cloth.energies.angle import angle_between
 
 
-def shearing_energy(positions: Tensor, corners: Tensor, rest_angles: Tensor | float, stiffness: Tensor | float) -> Tensor:
+def shearing_energy(
+    positions: Tensor, corners: Tensor, rest_angles: Tensor | float, stiffness: Tensor | float
+) -> Tensor:
     """Energy ½ S Σ (φ - φ₀)² of the angles enclosed by a warp and a weft edge.
 
     Args:

@@ -5,7 +5,9 @@ from __future__ import annotations
 from torch import Tensor
 
 
-def stretching_energy(positions: Tensor, edges: Tensor, rest_lengths: Tensor, stiffness: Tensor | float) -> Tensor:
+def stretching_energy(
+    positions: Tensor, edges: Tensor, rest_lengths: Tensor, stiffness: Tensor | float
+) -> Tensor:
     """Hookean energy ½ Y Σ (‖e‖ - L₀)² of every edge.
 
     Args:

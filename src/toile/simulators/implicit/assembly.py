@@ -266,7 +266,9 @@ class Assembly:
         self._held = wp.array(slots, dtype=wp.int32, device="cpu")
         self._index = [wp.array(i.astype(np.int32), dtype=wp.int32, ndim=2, device="cpu") for i in index]
         rest = [rest_lengths, rest_corner_angles, np.zeros(len(index[2]))]
-        self._rest = [wp.array(np.ascontiguousarray(r, np.float64), dtype=wp.float64, device="cpu") for r in rest]
+        self._rest = [
+            wp.array(np.ascontiguousarray(r, np.float64), dtype=wp.float64, device="cpu") for r in rest
+        ]
         weights = weights or (np.ones(len(index[0])), np.ones(len(index[1])), np.ones(len(index[2])))
         self._weight = [wp.array(np.ascontiguousarray(w), dtype=wp.float64, device="cpu") for w in weights]
         self._sign = [0.0, 1.0, -1.0]
@@ -284,7 +286,15 @@ class Assembly:
             device="cpu",
         )
         for term in (1, 2):
-            inputs = [positions, self._index[term], self._rest[term], self._weight[term], self._sign[term], term, target]
+            inputs = [
+                positions,
+                self._index[term],
+                self._rest[term],
+                self._weight[term],
+                self._sign[term],
+                term,
+                target,
+            ]
             wp.launch(_angle_energy, dim=self._index[term].shape[0], inputs=inputs, device="cpu")
         return out
 
@@ -334,7 +344,14 @@ class Assembly:
         return x.reshape(*x.shape[:-1], self.n, 3)
 
     def _launch(
-        self, x: Array, stiffness: Array, gradients: Array, band: Array | None, coupling: Array | None, *, convex: bool
+        self,
+        x: Array,
+        stiffness: Array,
+        gradients: Array,
+        band: Array | None,
+        coupling: Array | None,
+        *,
+        convex: bool,
     ) -> None:
         positions = _points(x)
         wants = int(band is not None)
@@ -347,7 +364,16 @@ class Assembly:
             kernel: Any = _edge_derivatives if term == 0 else _angle_derivatives
             inputs = [positions, self._index[term], self._rest[term], self._weight[term]]
             inputs += [] if term == 0 else [self._sign[term]]
-            inputs += [float(stiffness[term]), wants, int(convex), self._position, self._held, target, matrix, side]
+            inputs += [
+                float(stiffness[term]),
+                wants,
+                int(convex),
+                self._position,
+                self._held,
+                target,
+                matrix,
+                side,
+            ]
             wp.launch(kernel, dim=self._index[term].shape[0], inputs=inputs, device="cpu")
 
 

@@ -43,7 +43,9 @@ def bandwidth_order(n_vertices: int, pairs: NDArray[np.int64]) -> tuple[NDArray[
         position (N,) of every vertex in the new order, and the vertex half bandwidth.
     """
     natural = int(np.abs(pairs[:, 0] - pairs[:, 1]).max(initial=0))
-    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n_vertices, n_vertices)).tocsr()
+    graph = coo_array(
+        (np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n_vertices, n_vertices)
+    ).tocsr()
     order = reverse_cuthill_mckee((graph + graph.T).tocsr(), symmetric_mode=True)
     position = np.empty(n_vertices, np.int64)
     position[order] = np.arange(n_vertices)

@@ -81,7 +81,7 @@ class StepSolution:
 
 def minimise_incremental_potential(
     assembly: Assembly,
-    guess: Array,
+    guesses: Array,
     prediction: Array,
     anchors: Array,
     forces: Array,
@@ -96,7 +96,7 @@ def minimise_incremental_potential(
 
     Args:
         assembly: internal energy of the cloth.
-        guess: warm start (N, 3) [m].
+        guesses: (G, N, 3) candidate starts [m]; the one of lowest Φ is taken.
         prediction: x̂ (N, 3) [m].
         anchors: positions of the held vertices (n_held, 3) [m].
         forces: f (N, 3) [N].
@@ -106,8 +106,6 @@ def minimise_incremental_potential(
         settings: see NewtonSettings.
         linearize: also return the derivatives at the solution.
     """
-    x = np.array(guess, np.float64)
-    x[assembly.held] = anchors
     free = assembly.free
     threshold = settings.tolerance * force_scale
 
@@ -120,9 +118,13 @@ def minimise_incremental_potential(
         kinetic = 0.5 * float((inertia[:, None] * away * away * free).sum())
         return kinetic + float(stiffness @ assembly.energies(at)) - float((forces * at * free).sum())
 
+    starts = np.array(guesses, np.float64)
+    starts[:, assembly.held] = anchors
+    values = [potential(start) for start in starts]
+    x = starts[int(np.argmin(values))]
     unit_gradients = assembly.gradients(x)
     residual = residual_of(unit_gradients, x)
-    value = potential(x)
+    value = min(values)
     damping = 0.0
     iteration = 0
     status = StepStatus.CONVERGED

@@ -14,7 +14,12 @@ from toile.cloth.state import State
 from toile.simulators.base import Simulator, StepResult
 from toile.simulators.implicit.assembly import Assembly
 from toile.simulators.implicit.integrators import Integrator
-from toile.simulators.implicit.newton import NewtonSettings, StepSolution, linearise, minimise_incremental_potential
+from toile.simulators.implicit.newton import (
+    NewtonSettings,
+    StepSolution,
+    linearise,
+    minimise_incremental_potential,
+)
 
 STANDARD_GRAVITY = 9.81
 
@@ -29,7 +34,9 @@ class ImplicitSimulator(Simulator):
         newton: see NewtonSettings.
     """
 
-    def __init__(self, cloth: Cloth, time_step: float, integrator: Integrator, newton: NewtonSettings) -> None:
+    def __init__(
+        self, cloth: Cloth, time_step: float, integrator: Integrator, newton: NewtonSettings
+    ) -> None:
         if time_step <= 0:
             raise ValueError(f"time_step: expected a positive number of seconds, got {time_step}")
         self.cloth = cloth
@@ -58,9 +65,11 @@ class ImplicitSimulator(Simulator):
         weights = torch.tensor(self.integrator.prediction, dtype=history.dtype)
         prediction = (weights[None, :, None, None] * history[:, : self.integrator.history]).sum(1)
         stiffness = torch.stack((material.stretching, material.shearing, material.bending), -1)
-        start = (2 * history[:, 0] - history[:, 1] if guess is None else guess).detach()
+        start = self._guesses(history, guess)
         solutions: list[StepSolution] = []
-        positions: Tensor = _ImplicitStep.apply(self, solutions, linearize, start, prediction, stiffness, forces, anchors)
+        positions: Tensor = _ImplicitStep.apply(
+            self, solutions, linearize, start, prediction, stiffness, forces, anchors
+        )
         new_history = torch.cat((positions[:, None], history), dim=1)[:, : self.n_past + 1]
         d = torch.tensor(self.integrator.velocity, dtype=history.dtype)
         velocities = (d[None, :, None, None] * new_history[:, : len(d)]).sum(1) / self.time_step
@@ -72,6 +81,16 @@ class ImplicitSimulator(Simulator):
             linearization=tuple(s.linearization for s in solutions),
         )
 
+    def _guesses(self, history: Tensor, guess: Tensor | None) -> Tensor:
+        """Candidate starts of Newton's method, (B, G, N, 3): extrapolations of the past and the warm start."""
+        past = history.detach()
+        candidates = [2 * past[:, 0] - past[:, 1]]
+        if past.shape[1] > 2:
+            candidates.append(3 * past[:, 0] - 3 * past[:, 1] + past[:, 2])
+        if guess is not None:
+            candidates.append(guess.detach())
+        return torch.stack(candidates, 1)
+
 
 class _ImplicitStep(torch.autograd.Function):
     """x(x̂, k, f, anchors) = argmin Φ, with the adjoint H λ = ∂J/∂x of the optimality condition."""
@@ -82,7 +101,7 @@ class _ImplicitStep(torch.autograd.Function):
         simulator: ImplicitSimulator,
         solutions: list[StepSolution],
         linearize: bool,
-        guess: Tensor,
+        guesses: Tensor,
         prediction: Tensor,
         stiffness: Tensor,
         forces: Tensor,
@@ -92,7 +111,7 @@ class _ImplicitStep(torch.autograd.Function):
             solutions.append(
                 minimise_incremental_potential(
                     simulator.assembly,
-                    guess[b].numpy(),
+                    guesses[b].numpy(),
                     prediction[b].detach().numpy(),
                     anchors[b].detach().numpy(),
                     forces[b].detach().numpy(),
@@ -125,5 +144,7 @@ class _ImplicitStep(torch.autograd.Function):
             to_prediction.append(linear.inertia[:, None] * adjoint)
             to_stiffness.append(-(linear.unit_gradients * adjoint).sum((1, 2)))
             to_anchors.append(g[assembly.held] - (linear.coupling @ adjoint.reshape(-1)).reshape(-1, 3))
-        stacked = [torch.from_numpy(np.stack(a)) for a in (to_prediction, to_stiffness, to_forces, to_anchors)]
+        stacked = [
+            torch.from_numpy(np.stack(a)) for a in (to_prediction, to_stiffness, to_forces, to_anchors)
+        ]
         return (None, None, None, None, *stacked)

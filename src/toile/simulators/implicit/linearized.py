@@ -1,0 +1,126 @@
+"""Tangents and adjoints of a whole rollout from the factorisations that its steps have left behind.
+
+One object serves Gauss-Newton, confidence intervals and sensitivities: after a rollout with
+``linearize=True`` a tangent or an adjoint costs one banded solve per step, about a tenth of the simulation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toile.simulators.implicit.newton import Linearization
+from toile.simulators.implicit.simulator import ImplicitSimulator
+from toile.simulators.rollout import Rollout
+
+Array = NDArray[np.float64]
+
+
+@dataclass
+class Perturbation:
+    """A change of every input of a rollout of one scene, or a gradient with respect to them.
+
+    Attributes:
+        forces: (F-1, N, 3) [N].
+        stiffness: (3,) Y [N/m], S, B [N·m].
+        anchors: (F, n_held, 3) [m].
+        positions: initial positions (N, 3) [m].
+        velocities: initial velocities (N, 3) [m/s].
+    """
+
+    forces: Array
+    stiffness: Array
+    anchors: Array
+    positions: Array
+    velocities: Array
+
+
+class LinearizedRollout:
+    """Derivative of the frame positions (F, N, 3) of one scene with respect to all inputs.
+
+    Args:
+        simulator: the simulator of the rollout.
+        rollout: made with ``linearize=True``.
+        scene: index in the batch.
+    """
+
+    def __init__(self, simulator: ImplicitSimulator, rollout: Rollout, scene: int = 0) -> None:
+        self.simulator = simulator
+        self.substeps = rollout.substeps
+        self.steps: list[Linearization] = [step.linearization[scene] for step in rollout.steps]
+        if any(step is None for step in self.steps):
+            raise ValueError("expected a rollout made with linearize=True")
+        self.n_frames = len(self.steps) // rollout.substeps + 1
+        self.n_vertices = simulator.cloth.n_vertices
+        self._coefficients = simulator.integrator.prediction
+        self._h = simulator.time_step
+
+    def tangent(self, change: Perturbation) -> Array:
+        """Change of the frame positions (F, N, 3) for a change of the inputs, to first order."""
+        return self.substep_tangent(change)[:: self.substeps]
+
+    def substep_tangent(self, change: Perturbation) -> Array:
+        """Change of the positions of every sub-step ((F-1)·substeps + 1, N, 3), as in Rollout.all_positions."""
+        assembly = self.simulator.assembly
+        free, held = assembly.free, assembly.held
+        start = change.positions.copy()
+        start[held] = change.anchors[0]
+        history = [start - k * self._h * change.velocities for k in range(len(self._coefficients))]
+        every = [start]
+        moving = bool(np.any(change.anchors))
+        for n, step in enumerate(self.steps):
+            frame, sub = n // self.substeps, n % self.substeps + 1
+            right = change.forces[frame] - np.tensordot(change.stiffness, step.unit_gradients, 1)
+            prediction = sum(c * x for c, x in zip(self._coefficients, history, strict=True))
+            right += step.inertia[:, None] * prediction
+            if moving:
+                fraction = sub / self.substeps
+                anchor = (1 - fraction) * change.anchors[frame] + fraction * change.anchors[frame + 1]
+                right -= (anchor.reshape(-1) @ step.coupling).reshape(-1, 3)
+            x = assembly.from_band(step.factor.solve(assembly.to_band(right * free)))
+            x[held] = anchor if moving else 0.0
+            history = [x, *history[:-1]]
+            every.append(x)
+        return np.stack(every)
+
+    def adjoint(self, gradient: Array) -> Perturbation:
+        """Gradient with respect to the inputs for a gradient with respect to the frame positions (F, N, 3)."""
+        assembly = self.simulator.assembly
+        free, held = assembly.free, assembly.held
+        n, k = self.n_vertices, len(self._coefficients)
+        to = Perturbation(
+            np.zeros((self.n_frames - 1, n, 3)),
+            np.zeros(3),
+            np.zeros((self.n_frames, len(held), 3)),
+            np.zeros((n, 3)),
+            np.zeros((n, 3)),
+        )
+        # pending[i]: gradient with respect to the position i + 1 steps before the one about to be treated.
+        pending = [np.zeros((n, 3)) for _ in range(k)]
+        for index in range(len(self.steps) - 1, -1, -1):
+            step = self.steps[index]
+            frame, sub = index // self.substeps, index % self.substeps + 1
+            g = pending.pop(0)
+            if sub == self.substeps:
+                g = g + gradient[frame + 1]
+            adjoint = assembly.from_band(step.factor.solve(assembly.to_band(g * free)))
+            to.forces[frame] += adjoint
+            to.stiffness -= (step.unit_gradients * adjoint).sum((1, 2))
+            anchor = g[held] - (step.coupling @ adjoint.reshape(-1)).reshape(-1, 3)
+            fraction = sub / self.substeps
+            to.anchors[frame] += (1 - fraction) * anchor
+            to.anchors[frame + 1] += fraction * anchor
+            to_prediction = step.inertia[:, None] * adjoint
+            pending.append(np.zeros((n, 3)))
+            for i, c in enumerate(self._coefficients):
+                pending[i] = pending[i] + c * to_prediction
+        pending[0] = pending[0] + gradient[0]
+        for i, g in enumerate(pending):
+            start = g.copy()
+            to.anchors[0] += start[held]
+            start[held] = 0.0
+            to.positions += start
+            to.velocities -= i * self._h * start
+        return to
