@@ -1,0 +1,54 @@
+"""The commands: one module each, with a function ``run(cfg)`` and a file of the same name in conf/."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class Command(NamedTuple):
+    """A command of the command line.
+
+    Attributes:
+        module: module with ``run(cfg: DictConfig)``, imported only when the command is used.
+        summary: one line for the overview.
+        example: a call to learn from.
+    """
+
+    module: str
+    summary: str
+    example: str
+
+
+COMMANDS = {
+    "fit": Command("toile.cli.fit", "reconstruct the cloth of one video", "scene=R1"),
+    "evaluate": Command("toile.cli.evaluate", "measure a run against the ground truth", "run=<run folder>"),
+    "report": Command("toile.cli.report", "write the result page of a run", "run=<run folder>"),
+    "export": Command(
+        "toile.cli.export", "write a run for other programs", "run=<run folder> format=usd|glb|obj|ply"
+    ),
+    "generate": Command("toile.cli.generate", "make a synthetic scene with ground truth", ""),
+    "doctor": Command("toile.cli.doctor", "look for what is wrong with a scene", "scene=R1"),
+}
+
+
+def overview() -> str:
+    """What ``toile --help`` prints."""
+    width = max(map(len, COMMANDS))
+    lines = [f"  {name:<{width}}  {command.summary}" for name, command in COMMANDS.items()]
+    examples = [f"  toile {name} {command.example}".rstrip() for name, command in COMMANDS.items()]
+    return "\n".join(
+        (
+            "toile reconstructs real cloth from one ordinary video.",
+            "",
+            "usage: toile <command> [key=value ...]",
+            "       toile <command> -m key=a,b        one run per value",
+            "       toile <command> --help            choices and settings",
+            "       toile <command> --cfg job         show the configuration, run nothing",
+            "",
+            "commands:",
+            *lines,
+            "",
+            "examples:",
+            *examples,
+        )
+    )

@@ -1,0 +1,128 @@
+"""Composing, instantiating and storing configurations."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import hydra.utils
+import yaml
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig, OmegaConf
+
+import toile
+from toile.cli.commands import COMMANDS
+from toile.errors import InputError
+
+CONF = Path(toile.__file__).parent / "conf"
+"""The configuration that comes with the package."""
+
+_HYDRA_SYNTAX = re.compile(r"""[()\[\]{}$'"=]""")
+# A run folder may come from somebody else: from its configuration, only these are ever called.
+_SCENE_TARGETS = {
+    "toile.scenes.registry.load_scene",
+    "toile.scenes.texture_coordinates.from_file",
+    "toile.scenes.texture_coordinates.projected",
+}
+
+
+def register_resolvers() -> None:
+    """Make ``${basename:path}`` and ``${summary:command}`` known; may be called again."""
+    OmegaConf.register_new_resolver("basename", lambda path: Path(str(path)).name, replace=True)
+    OmegaConf.register_new_resolver("summary", lambda name: COMMANDS[name].summary, replace=True)
+
+
+def name_scenes(arguments: Sequence[str]) -> list[str]:
+    """Let ``scene=`` take any name or folder: what is no file in conf/scene becomes native with that name.
+
+    ``scene=R1,a1cb40`` becomes ``scene=native scene.name='R1','a1cb40'`` unless both are files. Hydra's own
+    syntax (quotes, brackets, functions) is left alone.
+    """
+    known = {
+        path.stem for folder in (CONF, *_config_folders(arguments)) for path in folder.glob("scene/*.yaml")
+    }
+    result: list[str] = []
+    for argument in arguments:
+        key, _, value = argument.partition("=")
+        names = value.split(",")
+        usual = not value or value == "null" or _HYDRA_SYNTAX.search(value)
+        if key != "scene" or usual or known.issuperset(names):
+            result.append(argument)
+        else:
+            quoted = ",".join("'" + name.replace("\\", "\\\\") + "'" for name in names)
+            result += ["scene=native", f"scene.name={quoted}"]
+    return result
+
+
+def instantiate(node: Any) -> Any:
+    """Build what ``_target_`` names; lists and dictionaries below it become plain Python."""
+    return hydra.utils.instantiate(node, _convert_="all")
+
+
+def resolved_yaml(cfg: DictConfig) -> str:
+    """The configuration as YAML text with every reference resolved."""
+    return OmegaConf.to_yaml(cfg, resolve=True)
+
+
+def output_folder() -> Path:
+    """The folder Hydra made for this run."""
+    return Path(HydraConfig.get().runtime.output_dir)
+
+
+def scene_settings(cfg: DictConfig, run_config: str, where: Path) -> DictConfig:
+    """The scene a command is asked for, else the one a run was made with.
+
+    Args:
+        cfg: configuration of the command; its ``scene`` may be missing.
+        run_config: configuration text of the run.
+        where: file of that text, for messages.
+
+    Returns:
+        Configuration of the scene; data is looked for where ``cfg`` says, wherever the run was made.
+
+    Raises:
+        InputError: the text is no YAML, or names no scene.
+    """
+    if cfg.get("scene") is not None:
+        return cfg.scene
+    expected = "the scene that the run was made with; scene=<name> gives another"
+    try:
+        saved = yaml.safe_load(run_config)
+    except yaml.YAMLError as error:
+        raise InputError(
+            "The run's configuration is no YAML", where=str(where), expected=expected, got=str(error)
+        ) from error
+    settings = saved.get("scene") if isinstance(saved, dict) else None
+    if not isinstance(settings, dict):
+        raise InputError("The run names no scene", where=str(where), expected=expected, got=str(settings))
+    unexpected = _targets(settings) - _SCENE_TARGETS
+    if unexpected:
+        raise InputError(
+            "The run's scene is built by something unknown",
+            where=str(where),
+            expected=", ".join(sorted(_SCENE_TARGETS)),
+            got=", ".join(sorted(unexpected)),
+        )
+    return OmegaConf.create({**settings, "data_dir": cfg.paths.data})
+
+
+def _targets(node: Any) -> set[str]:
+    if isinstance(node, dict):
+        own = {str(node["_target_"])} if "_target_" in node else set()
+        return own.union(*map(_targets, node.values()))
+    if isinstance(node, list):
+        return set().union(*map(_targets, node))
+    return set()
+
+
+def _config_folders(arguments: Sequence[str]) -> list[Path]:
+    """Folders given by --config-dir."""
+    found = []
+    for argument, following in pairwise([*arguments, ""]):
+        flag, equals, value = argument.partition("=")
+        if flag in ("--config-dir", "-cd"):
+            found.append(Path(value if equals else following))
+    return found

@@ -1,0 +1,80 @@
+"""What the user reads, and the exit status, when a command fails."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from hydra.errors import HydraException, InstantiationException
+from omegaconf.errors import (
+    InterpolationToMissingValueError,
+    MissingMandatoryValue,
+    OmegaConfBaseException,
+)
+
+BAD_INPUT = 2
+SIMULATION_FAILED = 3
+INTERRUPTED = 130
+
+FULL_ERROR_VARIABLE = "HYDRA_FULL_ERROR"
+
+
+class CommandError(Exception):
+    """A command failed and has said why; carries the exit status through Hydra and its launchers."""
+
+    def __init__(self, status: int) -> None:
+        self.status = status
+        super().__init__(status)
+
+
+class Failure(NamedTuple):
+    """A failure that needs no traceback."""
+
+    message: str
+    status: int
+
+
+def explain(error: BaseException) -> Failure | None:
+    """The message for a mistake of the user or a failed simulation; None for a mistake in the program."""
+    # Here, because it loads PyTorch, which a successful ``toile --help`` need not wait for.
+    from toile.errors import InputError
+    from toile.simulators.base import SimulationError
+
+    failure = None
+    for cause in _chain(error):
+        match cause:
+            case InputError():
+                return Failure(f"error: {cause}", BAD_INPUT)
+            case SimulationError():
+                return Failure(f"error: {cause}", SIMULATION_FAILED)
+    if isinstance(error, MissingMandatoryValue | InterpolationToMissingValueError):
+        failure = _missing(error)
+    elif isinstance(error, InstantiationException):
+        # Arguments that do not fit are a mistake in the configuration; anything else is one in the program.
+        if isinstance(error.__cause__, TypeError | ValueError | None):
+            failure = _messages(error)
+    elif isinstance(error, HydraException | OmegaConfBaseException):
+        failure = _messages(error)
+    elif isinstance(error, OSError) and error.filename is not None:
+        failure = Failure(f"error: {error.strerror}: {error.filename}", BAD_INPUT)
+    return failure
+
+
+def _missing(error: OmegaConfBaseException) -> Failure:
+    if "scene.name" in f"{error} {error.full_key}":
+        return Failure(
+            "error: no scene is given; say scene=<name in the data folder, or path of a folder>", BAD_INPUT
+        )
+    key = error.full_key or "a value"
+    return Failure(f"error: {key} is missing; say {key}=...", BAD_INPUT)
+
+
+def _messages(error: Exception) -> Failure:
+    parts = dict.fromkeys(str(e).strip() for e in _chain(error))
+    return Failure("error: " + "\n".join(parts), BAD_INPUT)
+
+
+def _chain(error: BaseException | None) -> Iterator[BaseException]:
+    while error is not None:
+        yield error
+        error = error.__cause__

@@ -1,0 +1,137 @@
+"""The console script ``toile <command> [overrides]``: dispatch to one Hydra application per command."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import wraps
+from typing import Any
+
+from toile import __version__
+from toile.cli.commands import COMMANDS, overview
+
+USAGE_ERROR = 2
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command; returns the exit status.
+
+    0: done. 2: bad input or usage. 3: the simulation failed. 130: interrupted. Anything else is a mistake in
+    the program and ends in a traceback; with HYDRA_FULL_ERROR=1 every failure does.
+    """
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    if not given or given[0] in ("-h", "--help", "help"):
+        print(overview())
+        return 0
+    if given[0] == "--version":
+        print(__version__)
+        return 0
+    name, *rest = given
+    if name not in COMMANDS:
+        print(
+            f"error: no command {name!r}; there are {', '.join(COMMANDS)}. See toile --help.", file=sys.stderr
+        )
+        return USAGE_ERROR
+    try:
+        return _run(name, rest)
+    except KeyboardInterrupt:
+        from toile.cli.failures import INTERRUPTED
+
+        print("interrupted", file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:
+        # The reader of our output (head, less) has gone; keep Python from complaining when it flushes.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+
+
+def _run(name: str, arguments: Sequence[str]) -> int:
+    import hydra
+
+    from toile.cli.configuration import CONF, name_scenes, register_resolvers
+    from toile.cli.failures import FULL_ERROR_VARIABLE, CommandError
+
+    register_resolvers()
+    full = os.environ.get(FULL_ERROR_VARIABLE) == "1"
+    task = _reporting(importlib.import_module(COMMANDS[name].module).run, full)
+    application = hydra.main(version_base="1.3", config_path=str(CONF), config_name=name)(task)
+    with _hydra_leaves_errors_to_us(FULL_ERROR_VARIABLE), _argv([f"toile {name}", *name_scenes(arguments)]):
+        try:
+            application()
+        except CommandError as failed:
+            return failed.status
+        except SystemExit as leaving:
+            return leaving.code if isinstance(leaving.code, int) else 0
+        except Exception as error:
+            return _report(error, full)
+    return 0
+
+
+def _reporting(run: Callable[[Any], Any], full: bool) -> Callable[[Any], Any]:
+    """The task with its failures reported at once, so that the other runs of a sweep go on."""
+    from hydra.core.hydra_config import HydraConfig
+    from hydra.types import RunMode
+
+    from toile.cli.failures import CommandError
+
+    @wraps(run)
+    def task(cfg: Any) -> Any:
+        try:
+            return run(cfg)
+        except BrokenPipeError:
+            raise
+        except Exception as error:
+            status = error.status if isinstance(error, CommandError) else _report(error, full)
+            if HydraConfig.get().mode is RunMode.MULTIRUN:
+                raise CommandError(status) from None
+            # Nothing is left to do; Hydra passes this one on without a word of its own.
+            raise SystemExit(status) from None
+
+    return task
+
+
+def _report(error: Exception, full: bool) -> int:
+    """Print the message of a failure and return its status; mistakes in the program are raised again."""
+    from toile.cli.failures import explain
+
+    failure = explain(error)
+    if failure is None:
+        raise error
+    if full:
+        traceback.print_exception(error)
+    else:
+        print(failure.message, file=sys.stderr)
+    return failure.status
+
+
+@contextmanager
+def _hydra_leaves_errors_to_us(variable: str) -> Iterator[None]:
+    """With this variable Hydra raises what it would otherwise print as a cropped traceback."""
+    before = os.environ.get(variable)
+    os.environ[variable] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[variable]
+        else:
+            os.environ[variable] = before
+
+
+@contextmanager
+def _argv(arguments: list[str]) -> Iterator[None]:
+    """Hydra reads its arguments from ``sys.argv`` only."""
+    before = sys.argv
+    sys.argv = arguments
+    try:
+        yield
+    finally:
+        sys.argv = before
+
+
+if __name__ == "__main__":
+    sys.exit(main())

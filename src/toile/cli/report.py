@@ -1,0 +1,21 @@
+"""``toile report run=<run folder>``: the result page of a run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from omegaconf import DictConfig
+
+from toile.cli.configuration import instantiate
+from toile.cli.run_scene import run_scene
+from toile.cli.terminal import print_path
+from toile.reports.html import write_result_page
+from toile.reports.run_folder import open_run_folder
+from toile.reports.run_report import result_page
+
+
+def run(cfg: DictConfig) -> None:
+    """Write index.html into the run folder and print its path."""
+    folder = open_run_folder(Path(cfg.run))
+    page = result_page(folder, run_scene(cfg, folder), instantiate(cfg.renderer), cfg.pictures)
+    print_path(write_result_page(page, folder.page))
