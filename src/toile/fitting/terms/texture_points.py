@@ -48,6 +48,19 @@ class TexturePoints:
         """Points (..., P, 3) for vertex positions x (..., N, 3)."""
         return np.asarray((x[..., self.vertices, :] * self.weights[..., None]).sum(-2))
 
+    def triangle_coordinates(self, grid: tuple[int, int]) -> tuple[NDArray[np.int64], Array]:
+        """Face index (P,) in ``grid_faces`` order and barycentric coordinates (P, 3) of every point."""
+        width = grid[1]
+        corner = self.vertices[:, 0]
+        quad = (corner // width) * (width - 1) + corner % width
+        s = self.weights[:, 2] + self.weights[:, 3]
+        t = self.weights[:, 1] + self.weights[:, 3]
+        upper = t >= s
+        barycentrics = np.where(
+            upper[:, None], np.stack((1 - t, t - s, s), 1), np.stack((1 - s, t, s - t), 1)
+        )
+        return (2 * quad + np.where(upper, 0, 1)).astype(np.int64), barycentrics
+
 
 def grid_points(grid: tuple[int, int], per_side: int) -> TexturePoints:
     """A per_side × per_side lattice of points on an H×W vertex grid, borders included."""

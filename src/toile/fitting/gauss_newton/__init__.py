@@ -1,0 +1,1 @@
+"""Gauss-Newton through the simulator: the default recipe."""

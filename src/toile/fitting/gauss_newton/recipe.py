@@ -1,0 +1,226 @@
+"""Tracking by Gauss-Newton in sliding windows: the default recipe.
+
+The external forces of the last few frames are found together, each window starting from the state that the
+previous one has reached. What comes out is one simulation from frame 0 to the end under the forces found, with
+no break between windows.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from toile.fitting.gauss_newton.unknowns import Priors, WindowUnknowns
+from toile.fitting.gauss_newton.window import frame_tensor, minimise_window, state_at
+from toile.fitting.parameters import ClothParameters
+from toile.fitting.recipe import CycleReport, Recipe
+from toile.fitting.reconstruction import Reconstruction
+from toile.fitting.terms.image_features import contrast_features
+from toile.fitting.terms.texture_points import PointTermSettings, TexturePointTerm, TexturePoints, grid_points
+from toile.rendering.visibility import visible_points
+
+Array = NDArray[np.float64]
+
+
+class Windows(ABC):
+    """Which windows of frames a stage goes through."""
+
+    @abstractmethod
+    def plan(self, n_frames: int) -> list[tuple[int, int]]:
+        """(first, last) frame of every window."""
+
+
+class SlidingWindows(Windows):
+    """Windows of at most ``lag`` frames whose end advances by ``stride`` frames.
+
+    Args:
+        lag: frames whose forces are found together.
+        stride: frames by which the window advances.
+    """
+
+    def __init__(self, lag: int, stride: int) -> None:
+        self.lag = lag
+        self.stride = stride
+
+    def plan(self, n_frames: int) -> list[tuple[int, int]]:
+        """See Windows."""
+        ends = [*range(self.stride, n_frames - 1, self.stride), n_frames - 1]
+        return [(max(0, end - self.lag), end) for end in ends]
+
+
+class GrowingWindows(Windows):
+    """Windows from frame 0 that grow by ``stride`` frames (the paper's successive frames).
+
+    Args:
+        start: frames in the first window.
+        stride: frames added each time.
+        repeats: how often the whole clip is treated at the end.
+    """
+
+    def __init__(self, start: int, stride: int, repeats: int) -> None:
+        self.start = start
+        self.stride = stride
+        self.repeats = repeats
+
+    def plan(self, n_frames: int) -> list[tuple[int, int]]:
+        """See Windows."""
+        ends = [end for end in range(self.start, n_frames - 1, self.stride)]
+        return [(0, end) for end in ends] + [(0, n_frames - 1)] * self.repeats
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One pass over the clip.
+
+    Attributes:
+        name: for the log.
+        windows: see Windows.
+        term: image term of the pass.
+        priors: what is free and how much.
+        iterations: Gauss-Newton iterations per window.
+        cg_iterations, cg_tolerance: of the linear solver.
+        visibility: leave out points that the cloth itself hides.
+    """
+
+    name: str
+    windows: Windows
+    term: PointTermSettings
+    priors: Priors
+    iterations: int
+    cg_iterations: int
+    cg_tolerance: float
+    visibility: bool
+
+
+class TrackingRecipe(Recipe):
+    """Passes over the clip, window by window; one window is one cycle.
+
+    Args:
+        stages: passes in order.
+    """
+
+    def __init__(self, stages: Sequence[Stage]) -> None:
+        self.stages = list(stages)
+        self._plan: list[tuple[Stage, int, int]] = []
+        self._positions: Array | None = None
+        self._covered = 0
+        self._start_stiffness = np.zeros(3)
+        self._stage: Stage | None = None
+        self._term: TexturePointTerm | None = None
+
+    def n_cycles(self, reconstruction: Reconstruction) -> int:
+        """See Recipe."""
+        return sum(len(stage.windows.plan(reconstruction.scene.n_frames)) for stage in self.stages)
+
+    def start(self, reconstruction: Reconstruction) -> None:
+        """See Recipe."""
+        n = reconstruction.scene.n_frames
+        self._plan = [(stage, a, b) for stage in self.stages for a, b in stage.windows.plan(n)]
+        self._positions = None
+        self._covered = 0
+        self._stage = self._term = None
+        p = reconstruction.parameters
+        self._start_stiffness = np.array([p.get_parameter(k).item() for k in ClothParameters.STIFFNESSES])
+
+    def cycle(self, reconstruction: Reconstruction, index: int) -> CycleReport:
+        """See Recipe."""
+        stage, first, last = self._plan[index]
+        self._enter(stage, reconstruction)
+        assert self._term is not None
+        if last > self._covered:
+            self._extend(reconstruction.parameters, last)
+        substeps = reconstruction.substeps
+        warm = None
+        if self._positions is not None and len(self._positions) > first * substeps + 1:
+            warm = self._positions[first * substeps : last * substeps + 1]
+        unknowns = WindowUnknowns(reconstruction, stage.priors, self._start_stiffness, first, last)
+        points = self._term.points
+        result = minimise_window(
+            reconstruction,
+            unknowns,
+            self._term,
+            (lambda x: _visible(reconstruction, points, x)) if stage.visibility else None,
+            state_at(reconstruction, self._positions, first),
+            warm,
+            iterations=stage.iterations,
+            cg_iterations=stage.cg_iterations,
+            cg_tolerance=stage.cg_tolerance,
+        )
+        if self._positions is None or first == 0:
+            before: list[Array] = []
+        else:
+            before = [self._positions[: first * substeps]]
+        after = [] if self._positions is None else [self._positions[last * substeps + 1 :]]
+        self._positions = np.concatenate([*before, result.positions, *after])
+        self._covered = max(self._covered, last)
+        losses = {
+            "objective": result.objective,
+            "colour": float(result.colour.mean()),
+            "mask": float(result.mask.mean()),
+            "gauss_newton_iterations": float(result.iterations),
+            "conjugate_gradient_iterations": float(result.conjugate_gradients),
+            "newton_iterations": float(result.newton),
+        }
+        motion = frame_tensor(self._positions[: last * substeps + 1], substeps)
+        return CycleReport(losses, last + 1, motion, tuple(result.notes))
+
+    def state_dict(self) -> dict[str, Any]:
+        """See Recipe."""
+        return {
+            "positions": None if self._positions is None else torch.from_numpy(self._positions.copy()),
+            "covered": self._covered,
+            "start_stiffness": torch.from_numpy(self._start_stiffness.copy()),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """See Recipe."""
+        positions = state["positions"]
+        self._positions = None if positions is None else positions.numpy().copy()
+        self._covered = int(state["covered"])
+        self._start_stiffness = state["start_stiffness"].numpy().copy()
+
+    def _enter(self, stage: Stage, reconstruction: Reconstruction) -> None:
+        if stage is self._stage:
+            return
+        scene, settings = reconstruction.scene, stage.term
+        features = contrast_features(scene.frames, scene.masks, settings.blur, settings.neighbourhood)
+        points = grid_points(scene.grid, settings.per_side)
+        self._term = TexturePointTerm(features, scene.camera, points, reconstruction.template.numpy(), settings)
+        self._stage = stage
+
+    def _extend(self, p: ClothParameters, last: int) -> None:
+        """Start new frames from the forces and anchors of the last known ones."""
+        known = self._covered
+        if known == 0:
+            return
+        with torch.no_grad():
+            p.turbulence[known:last] = p.turbulence[known - 1]
+            p.anchor_motion[known + 1 : last + 1] = p.anchor_motion[known]
+
+
+# Two surfaces closer than this are one: bilinear points leave the triangles by about this much [m].
+_VISIBILITY_TOLERANCE = 4e-3
+
+
+def _visible(reconstruction: Reconstruction, points: TexturePoints, positions: Array) -> NDArray[np.float32]:
+    """Visible points (n, P) as 0 or 1 for frame positions (n, N, 3)."""
+    x = torch.from_numpy(positions)
+    camera = reconstruction.scene.camera
+    fragments = reconstruction.renderer.rasterize(x, reconstruction.faces, camera)
+    faces, barycentrics = points.triangle_coordinates(reconstruction.scene.grid)
+    seen = visible_points(
+        fragments,
+        x,
+        reconstruction.faces,
+        camera,
+        torch.from_numpy(faces),
+        torch.from_numpy(barycentrics),
+        _VISIBILITY_TOLERANCE,
+    )
+    return np.asarray(seen.numpy(), np.float32)

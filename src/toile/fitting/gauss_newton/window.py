@@ -1,0 +1,195 @@
+"""Gauss-Newton on one window of frames, through the simulator.
+
+    J(z) = ½ |z|² + image term(x(z)),    (I + Jᵀ A J) s = -(z + Jᵀ g)
+
+z are the white unknowns, x(z) the simulated motion, A and g the image term's Gauss-Newton matrix and gradient,
+J the Jacobian of the motion. J is never formed: conjugate gradients need one tangent and one adjoint rollout
+per iteration, both from the factorisations that the simulation has left behind.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from toile.cloth.material import Material
+from toile.cloth.state import State
+from toile.fitting.gauss_newton import conjugate_gradients
+from toile.fitting.gauss_newton.conjugate_gradients import Vector, axpy, dot
+from toile.fitting.gauss_newton.unknowns import WindowUnknowns
+from toile.fitting.reconstruction import Reconstruction
+from toile.fitting.terms.texture_points import PointTermValue, TexturePointTerm
+from toile.simulators.base import StepStatus
+from toile.simulators.implicit.linearized import LinearizedRollout
+from toile.simulators.implicit.simulator import ImplicitSimulator
+from toile.simulators.rollout import Rollout, rollout
+
+Array = NDArray[np.float64]
+
+# Step lengths of the back-tracking line search.
+_BACKTRACK = 0.35
+_MAX_TRIALS = 4
+# A window is left when an iteration lowers J by less than this fraction.
+_STALLED = 3e-3
+
+
+@dataclass
+class WindowResult:
+    """Outcome of a window.
+
+    Attributes:
+        objective: J at the end.
+        colour, mask: image term at the end, per frame.
+        positions: of all sub-steps of the window ((last - first)·substeps + 1, N, 3) [m].
+        iterations: accepted Gauss-Newton iterations.
+        conjugate_gradients: iterations of the linear solver, summed.
+        newton: Newton iterations of the simulator, summed.
+        notes: messages for the log.
+    """
+
+    objective: float
+    colour: Array
+    mask: Array
+    positions: Array
+    iterations: int
+    conjugate_gradients: int
+    newton: int
+    notes: list[str]
+
+
+@torch.no_grad()
+def state_at(reconstruction: Reconstruction, substep_positions: Array | None, frame: int) -> State:
+    """State at a frame: the start of the clip, or the stored positions up to that frame."""
+    if frame == 0 or substep_positions is None:
+        return reconstruction.initial_state()
+    simulator = reconstruction.simulator
+    index = frame * reconstruction.substeps
+    past = torch.from_numpy(np.stack([substep_positions[max(index - k, 0)] for k in range(simulator.n_past + 1)]))
+    # Velocities follow from the past positions; the implicit simulator reads only those.
+    velocity = (past[0] - past[1]) / simulator.time_step
+    return State(past[0][None], velocity[None], past[None, 1:])
+
+
+@torch.no_grad()
+def minimise_window(
+    reconstruction: Reconstruction,
+    unknowns: WindowUnknowns,
+    term: TexturePointTerm,
+    visibility: Callable[[Array], NDArray[np.float32]] | None,
+    start: State,
+    warm_start: Array | None,
+    *,
+    iterations: int,
+    cg_iterations: int,
+    cg_tolerance: float,
+) -> WindowResult:
+    """Lower J by a few Gauss-Newton iterations and write the result into the parameters.
+
+    Args:
+        reconstruction: see Reconstruction; its simulator must be the implicit one.
+        unknowns: free parameters of the window.
+        term: image term.
+        visibility: frame positions (n, N, 3) -> visible points (n, P), or None if all are.
+        start: state at the window's first frame.
+        warm_start: sub-step positions of an earlier simulation of the window.
+        iterations: Gauss-Newton iterations at most.
+        cg_iterations, cg_tolerance: of the linear solver.
+    """
+    simulator = reconstruction.simulator
+    if not isinstance(simulator, ImplicitSimulator):
+        raise TypeError(f"Gauss-Newton needs the implicit simulator's factorisations, got {type(simulator).__name__}")
+    first = unknowns.first
+    template = reconstruction.template.numpy()[simulator.cloth.held.numpy()]
+    newton = 0
+
+    def simulate(z: Vector, guess: Array | None, *, linearize: bool) -> tuple[Rollout, bool]:
+        nonlocal newton
+        anchors = template + unknowns.anchor_motion(z)
+        state = start
+        if first == 0:
+            positions = start.positions.clone()
+            positions[0, simulator.cloth.held] = torch.from_numpy(anchors[0])
+            state = State.start(positions, start.velocities, simulator.time_step, simulator.n_past)
+        stiffness = torch.from_numpy(unknowns.si_stiffness(z))[:, None]
+        result = rollout(
+            simulator,
+            state,
+            Material(stiffness[0], stiffness[1], stiffness[2]),
+            torch.from_numpy(unknowns.forces(z))[None],
+            torch.from_numpy(anchors)[None],
+            reconstruction.substeps,
+            None if guess is None else torch.from_numpy(guess)[None],
+            linearize=linearize,
+            throw=False,
+        )
+        newton += result.newton_iterations
+        return result, all(step.status[0] is StepStatus.CONVERGED for step in result.steps)
+
+    def evaluate(motion: Rollout, seen: NDArray[np.float32] | None, *, derivatives: bool) -> PointTermValue:
+        return term.evaluate(motion.positions[0].numpy(), first, seen, derivatives=derivatives)
+
+    notes: list[str] = []
+    z = unknowns.start()
+    motion, converged = simulate(z, warm_start, linearize=True)
+    if not converged:
+        notes.append(f"frames {first}-{unknowns.last}: the solver did not converge at the start of the window")
+    accepted = linear_iterations = 0
+    value: PointTermValue | None = None
+    objective = np.inf
+    for iteration in range(iterations):
+        positions = motion.positions[0].numpy()
+        seen = None if visibility is None else visibility(positions)
+        value = evaluate(motion, seen, derivatives=True)
+        objective = value.total + 0.5 * dot(z, z)
+        linear = LinearizedRollout(simulator, motion)
+        gradient = axpy(1.0, z, unknowns.adjoint(z, linear.adjoint(value.gradient)))
+
+        def hessian(d: Vector, at: Vector = z, jac: LinearizedRollout = linear, v: PointTermValue = value) -> Vector:
+            change = term.apply(v, jac.tangent(unknowns.tangent(at, d)))
+            return axpy(1.0, d, unknowns.adjoint(at, jac.adjoint(change)))
+
+        solution = conjugate_gradients.solve(hessian, gradient, cg_iterations, cg_tolerance)
+        linear_iterations += solution.iterations
+        moved = linear.substep_tangent(unknowns.tangent(z, solution.step))
+        base = motion.all_positions[0].numpy()
+        length = 1.0
+        more = iteration + 1 < iterations
+        for _ in range(_MAX_TRIALS):
+            trial = axpy(length, solution.step, z)
+            trial_motion, converged = simulate(trial, base + length * moved, linearize=more)
+            trial_value = evaluate(trial_motion, seen, derivatives=False)
+            trial_objective = trial_value.total + 0.5 * dot(trial, trial)
+            if converged and trial_objective < objective:
+                break
+            length *= _BACKTRACK
+        else:
+            notes.append(f"frames {first}-{unknowns.last}: no step lowered the objective in iteration {iteration + 1}")
+            break
+        accepted += 1
+        stalled = objective - trial_objective < _STALLED * objective
+        z, motion, value, objective = trial, trial_motion, trial_value, trial_objective
+        if stalled:
+            break
+    if value is None:
+        value = evaluate(motion, None, derivatives=False)
+    unknowns.write(z)
+    return WindowResult(
+        objective=float(objective),
+        colour=value.colour,
+        mask=value.mask,
+        positions=motion.all_positions[0].numpy(),
+        iterations=accepted,
+        conjugate_gradients=linear_iterations,
+        newton=newton,
+        notes=notes,
+    )
+
+
+def frame_tensor(substep_positions: Array, substeps: int) -> Tensor:
+    """Positions of the frames (n, N, 3) among those of the sub-steps."""
+    return torch.from_numpy(substep_positions[::substeps])
