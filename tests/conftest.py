@@ -1,6 +1,8 @@
-"""A tiny, exactly known scene: a 6×5 cloth hanging 1.2 m in front of an 80×120 px camera."""
+"""What all tests share: one thread, and a tiny, exactly known scene."""
 
 from __future__ import annotations
+
+import toile.cli  # noqa: F401  # isort: skip  # first, because it sets the number of threads
 
 from pathlib import Path
 
@@ -21,6 +23,7 @@ N_FRAMES = 4
 
 @pytest.fixture
 def tiny_scene() -> Scene:
+    """A 6×5 cloth hanging 1.2 m in front of an 80×120 px camera, with its true motion."""
     H, W = GRID
     # Axis 0 runs along the held upper edge from left to right, axis 1 downwards; slightly slanted in depth.
     i, j = torch.meshgrid(torch.arange(H), torch.arange(W), indexing="ij")

@@ -1,0 +1,66 @@
+# Everything goes through .venv; `make setup` makes it. Settings: PYTHON, TOILE_DATA.
+SHELL := /bin/bash
+.SHELLFLAGS := -euo pipefail -c
+.DEFAULT_GOAL := help
+MAKEFLAGS += --no-print-directory
+
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+# The first Python of at least 3.11; constraints.txt is made with 3.11.
+PYTHON ?= $(shell for p in python3.11 python3 python3.12 python3.13 python; do \
+	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
+
+export TOILE_DATA ?= data
+DEMO_SCENE := $(TOILE_DATA)/generated/demo
+# One thread: a second one gains nothing on these small systems, and costs a lot on a busy machine.
+export OMP_NUM_THREADS ?= 1
+export OPENBLAS_NUM_THREADS ?= 1
+export MKL_NUM_THREADS ?= 1
+
+.PHONY: help
+help: ## List the targets
+	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+.PHONY: setup
+setup: $(READY) ## Make .venv with the pinned packages and toile itself
+
+$(READY): pyproject.toml constraints.txt
+	@test -n "$(PYTHON)" || { echo "error: no Python of at least 3.11 found; say make setup PYTHON=<path>" >&2; exit 1; }
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[dev]"
+	@touch $@
+
+.PHONY: demo
+demo: setup ## Reconstruct a generated scene: table and result page
+	@test -f $(DEMO_SCENE)/scene.json || $(BIN)/toile generate experiment=demo folder=$(DEMO_SCENE)
+	$(BIN)/toile fit experiment=demo scene=$(DEMO_SCENE)
+
+.PHONY: test
+test: setup ## Run the tests; warnings are errors
+	$(BIN)/python -m pytest
+
+.PHONY: lint
+lint: setup ## Check style, types and the layers
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+.PHONY: format
+format: setup ## Format the code
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+.PHONY: bench
+bench: setup ## Measure speed and accuracy
+	@for file in benchmarks/bench_*.py; do echo "== $$file"; $(BIN)/python $$file; done
+
+.PHONY: dashboard
+dashboard: setup ## Show the runs in outputs/ in TensorBoard
+	$(BIN)/tensorboard --logdir outputs
+
+.PHONY: clean
+clean: ## Remove caches and build products; outputs, data and .venv stay
+	rm -rf build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
+	find src tests benchmarks -name __pycache__ -prune -exec rm -rf {} +

@@ -1,0 +1,119 @@
+"""Every configuration file composes, and fits the signatures of what it builds."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hydra import compose, initialize_config_dir
+from hydra.errors import ConfigCompositionException
+from hydra.utils import get_object
+from omegaconf import DictConfig, OmegaConf
+
+from toile.cli.commands import COMMANDS
+from toile.cli.configuration import CONF, register_resolvers
+
+HYDRAS_OWN = {"_target_", "_partial_", "_convert_", "_recursive_"}
+OPTIONS = sorted(
+    f"{path.parent.relative_to(CONF).as_posix()}={path.stem}"
+    for path in CONF.rglob("*.yaml")
+    if path.parent not in (CONF, CONF / "hydra")
+)
+PRIMARY = sorted(path.stem for path in CONF.glob("*.yaml"))
+
+
+@pytest.fixture(autouse=True)
+def _hydra() -> Iterator[None]:
+    register_resolvers()
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        yield
+
+
+def composed(option: str) -> dict[str, DictConfig]:
+    """The option in every command that has its group."""
+    found = {}
+    for command in PRIMARY:
+        try:
+            found[command] = compose(command, [option])
+        except ConfigCompositionException as error:
+            if "Could not override" not in str(error):
+                raise
+    return found
+
+
+def targets(node: Any, path: str = "") -> Iterator[tuple[str, dict[str, Any]]]:
+    if isinstance(node, dict):
+        if "_target_" in node:
+            yield path, node
+        for key, value in node.items():
+            yield from targets(value, f"{path}.{key}".lstrip("."))
+
+
+def mismatches(cfg: DictConfig) -> list[str]:
+    """What is wrong between the settings and the signatures of their targets."""
+    wrong = []
+    for path, node in targets(OmegaConf.to_container(cfg, resolve=False)):
+        parameters = inspect.signature(get_object(node["_target_"])).parameters
+        keys, partial = set(node) - HYDRAS_OWN, node.get("_partial_", False)
+        wrong += [
+            f"{path}.{key}: {node['_target_']} takes no such argument" for key in keys - set(parameters)
+        ]
+        for name, parameter in parameters.items():
+            # Nothing that affects a result hides in the code: what is built here is written out in full.
+            if name not in keys and not partial:
+                wrong.append(f"{path}.{name}: missing, an argument of {node['_target_']}")
+            default, value = parameter.default, node.get(name)
+            plain = isinstance(value, str | int | float | bool) and "${" not in str(value)
+            if name in keys and plain and isinstance(default, str | int | float | bool) and default != value:
+                wrong.append(f"{path}.{name}: {value} here, {default} in the code")
+    return wrong
+
+
+def test_every_command_has_a_configuration() -> None:
+    assert set(PRIMARY) == set(COMMANDS)
+
+
+@pytest.mark.parametrize("command", PRIMARY)
+def test_commands(command) -> None:
+    assert mismatches(compose(command)) == []
+
+
+@pytest.mark.parametrize("option", OPTIONS)
+def test_options(option) -> None:
+    found = composed(option)
+    assert found, f"no command takes {option}"
+    for command, cfg in found.items():
+        assert mismatches(cfg) == [], command
+
+
+@pytest.mark.parametrize("command", PRIMARY)
+def test_hydras_part_composes(command) -> None:
+    cfg = compose(command, return_hydra_config=True)
+    assert "toile" in cfg.hydra.help.app_name
+    assert cfg.hydra.job_logging.handlers.console.stream == "ext://sys.stderr"
+
+
+@pytest.mark.parametrize("number", range(1, 10))
+def test_published_scenes_differ_in_name_only(number) -> None:
+    cfg = compose("fit", [f"scene=R{number}"])
+    assert cfg.scene.name == f"R{number}"
+    cfg.scene.name = "R1"
+    assert cfg == compose("fit", ["scene=R1"])
+
+
+def test_integrator_changes_nothing_else() -> None:
+    base = OmegaConf.to_container(compose("fit"))
+    other = OmegaConf.to_container(compose("fit", ["simulator/integrator=backward_euler"]))
+    assert base != other
+    assert isinstance(base, dict)
+    assert isinstance(other, dict)
+    other["simulator"]["build"]["integrator"] = base["simulator"]["build"]["integrator"]
+    assert base == other
+
+
+def test_no_file_is_left_out_of_the_package() -> None:
+    assert {path.suffix for path in CONF.rglob("*") if path.is_file()} == {".yaml"}
+    assert (Path(__file__).parents[2] / "pyproject.toml").is_file()
