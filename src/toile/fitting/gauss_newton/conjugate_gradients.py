@@ -18,7 +18,7 @@ def dot(a: Vector, b: Vector) -> float:
 
 
 def axpy(scale: float, a: Vector, b: Vector) -> Vector:
-    """scale · a + b."""
+    """Scale · a + b."""
     return {name: scale * a[name] + b[name] for name in b}
 
 

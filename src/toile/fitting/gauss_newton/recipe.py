@@ -22,7 +22,7 @@ from toile.fitting.parameters import ClothParameters
 from toile.fitting.recipe import CycleReport, Recipe
 from toile.fitting.reconstruction import Reconstruction
 from toile.fitting.terms.image_features import contrast_features
-from toile.fitting.terms.texture_points import PointTermSettings, TexturePointTerm, TexturePoints, grid_points
+from toile.fitting.terms.texture_points import PointTermSettings, TexturePoints, TexturePointTerm, grid_points
 from toile.rendering.visibility import visible_points
 
 Array = NDArray[np.float64]
@@ -191,7 +191,9 @@ class TrackingRecipe(Recipe):
         scene, settings = reconstruction.scene, stage.term
         features = contrast_features(scene.frames, scene.masks, settings.blur, settings.neighbourhood)
         points = grid_points(scene.grid, settings.per_side)
-        self._term = TexturePointTerm(features, scene.camera, points, reconstruction.template.numpy(), settings)
+        self._term = TexturePointTerm(
+            features, scene.camera, points, reconstruction.template.numpy(), settings
+        )
         self._stage = stage
 
     def _extend(self, p: ClothParameters, last: int) -> None:

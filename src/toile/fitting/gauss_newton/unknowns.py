@@ -172,7 +172,9 @@ class WindowUnknowns:
         p = self.reconstruction.parameters
         with torch.no_grad():
             if self._field is not None:
-                p.turbulence[self.first : self.last] = torch.from_numpy(self.turbulence(z) * self._relative_mass)
+                p.turbulence[self.first : self.last] = torch.from_numpy(
+                    self.turbulence(z) * self._relative_mass
+                )
             p.anchor_motion[self.first : self.last + 1] = torch.from_numpy(self.anchor_motion(z))
             for name, value in zip(ClothParameters.STIFFNESSES, self.stiffness(z), strict=True):
                 p.get_parameter(name).fill_(float(value))

@@ -69,7 +69,9 @@ def state_at(reconstruction: Reconstruction, substep_positions: Array | None, fr
         return reconstruction.initial_state()
     simulator = reconstruction.simulator
     index = frame * reconstruction.substeps
-    past = torch.from_numpy(np.stack([substep_positions[max(index - k, 0)] for k in range(simulator.n_past + 1)]))
+    past = torch.from_numpy(
+        np.stack([substep_positions[max(index - k, 0)] for k in range(simulator.n_past + 1)])
+    )
     # Velocities follow from the past positions; the implicit simulator reads only those.
     velocity = (past[0] - past[1]) / simulator.time_step
     return State(past[0][None], velocity[None], past[None, 1:])
@@ -102,7 +104,9 @@ def minimise_window(
     """
     simulator = reconstruction.simulator
     if not isinstance(simulator, ImplicitSimulator):
-        raise TypeError(f"Gauss-Newton needs the implicit simulator's factorisations, got {type(simulator).__name__}")
+        raise TypeError(
+            f"Gauss-Newton needs the implicit simulator's factorisations, got {type(simulator).__name__}"
+        )
     first = unknowns.first
     template = reconstruction.template.numpy()[simulator.cloth.held.numpy()]
     newton = 0
@@ -137,7 +141,9 @@ def minimise_window(
     z = unknowns.start()
     motion, converged = simulate(z, warm_start, linearize=True)
     if not converged:
-        notes.append(f"frames {first}-{unknowns.last}: the solver did not converge at the start of the window")
+        notes.append(
+            f"frames {first}-{unknowns.last}: the solver did not converge at the start of the window"
+        )
     accepted = linear_iterations = 0
     value: PointTermValue | None = None
     objective = np.inf
@@ -149,7 +155,9 @@ def minimise_window(
         linear = LinearizedRollout(simulator, motion)
         gradient = axpy(1.0, z, unknowns.adjoint(z, linear.adjoint(value.gradient)))
 
-        def hessian(d: Vector, at: Vector = z, jac: LinearizedRollout = linear, v: PointTermValue = value) -> Vector:
+        def hessian(
+            d: Vector, at: Vector = z, jac: LinearizedRollout = linear, v: PointTermValue = value
+        ) -> Vector:
             change = term.apply(v, jac.tangent(unknowns.tangent(at, d)))
             return axpy(1.0, d, unknowns.adjoint(at, jac.adjoint(change)))
 
@@ -168,7 +176,9 @@ def minimise_window(
                 break
             length *= _BACKTRACK
         else:
-            notes.append(f"frames {first}-{unknowns.last}: no step lowered the objective in iteration {iteration + 1}")
+            notes.append(
+                f"frames {first}-{unknowns.last}: no step lowered the objective in iteration {iteration + 1}"
+            )
             break
         accepted += 1
         stalled = objective - trial_objective < _STALLED * objective

@@ -2,43 +2,11 @@
 
 from __future__ import annotations
 
-import os
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import torch
 import warp as wp
 from torch import Tensor
-
-
-def start_warp() -> None:
-    """Initialise Warp without its banner; on a machine without a GPU, also without the warning about that."""
-    level = wp.config.log_level
-    wp.config.log_level = wp.LOG_ERROR
-    if torch.cuda.is_available():
-        wp.init()
-    else:
-        with _native_stderr_silenced():
-            wp.init()
-    # Warnings yes; progress of kernel compilation no.
-    wp.config.log_level = max(level, wp.LOG_WARNING)
-
-
-@contextmanager
-def _native_stderr_silenced() -> Iterator[None]:
-    """Send file descriptor 2 to nowhere: Warp's native library prints there, past sys.stderr."""
-    sys.stderr.flush()
-    kept = os.dup(2)
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(nowhere, 2)
-        yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
-        os.close(nowhere)
 
 
 def share(tensor: Tensor, dtype: Any) -> Any:

@@ -18,10 +18,10 @@ from toile.rendering.base import (
 )
 from toile.rendering.edges import MeshEdges, mesh_edges
 from toile.rendering.warp.antialias import Antialias
-from toile.rendering.warp.arrays import start_warp
 from toile.rendering.warp.interpolate import Interpolate
 from toile.rendering.warp.rasterize import fragments, rasterize
 from toile.rendering.warp.texture import Texture
+from toile.warp_runtime import start_warp
 
 
 @final
