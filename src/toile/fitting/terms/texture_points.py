@@ -65,10 +65,8 @@ class TexturePoints:
 def grid_points(grid: tuple[int, int], per_side: int) -> TexturePoints:
     """A per_side × per_side lattice of points on an H×W vertex grid, borders included."""
     height, width = grid
-    a, b = np.meshgrid(
-        np.linspace(0, height - 1, per_side), np.linspace(0, width - 1, per_side), indexing="ij"
-    )
-    a, b = a.reshape(-1), b.reshape(-1)
+    a = np.repeat(np.linspace(0, height - 1, per_side), per_side)
+    b = np.tile(np.linspace(0, width - 1, per_side), per_side)
     i = np.minimum(a.astype(np.int64), height - 2)
     j = np.minimum(b.astype(np.int64), width - 2)
     s, t = a - i, b - j
