@@ -8,7 +8,7 @@ no break between windows.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -79,7 +79,6 @@ class Stage:
     """One pass over the clip.
 
     Attributes:
-        name: for the log.
         windows: see Windows.
         term: image term of the pass.
         priors: what is free and how much.
@@ -88,7 +87,6 @@ class Stage:
         visibility: leave out points that the cloth itself hides.
     """
 
-    name: str
     windows: Windows
     term: PointTermSettings
     priors: Priors
@@ -102,11 +100,11 @@ class TrackingRecipe(Recipe):
     """Passes over the clip, window by window; one window is one cycle.
 
     Args:
-        stages: passes in order.
+        stages: passes in the order they run, by name; None leaves one out.
     """
 
-    def __init__(self, stages: Sequence[Stage]) -> None:
-        self.stages = list(stages)
+    def __init__(self, stages: Mapping[str, Stage | None]) -> None:
+        self.stages = [stage for stage in stages.values() if stage is not None]
         self._plan: list[tuple[Stage, int, int]] = []
         self._positions: Array | None = None
         self._covered = 0
