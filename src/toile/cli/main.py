@@ -57,6 +57,13 @@ def _run(name: str, arguments: Sequence[str]) -> int:
 
     register_resolvers()
     full = os.environ.get(FULL_ERROR_VARIABLE) == "1"
+    if name == "fit":
+        from toile.cli.resume import resume_arguments
+
+        try:
+            arguments = resume_arguments(arguments)
+        except Exception as error:
+            return _report(error, full)
     task = _reporting(importlib.import_module(COMMANDS[name].module).run, full)
     application = hydra.main(version_base="1.3", config_path=str(CONF), config_name=name)(task)
     with _hydra_leaves_errors_to_us(FULL_ERROR_VARIABLE), _argv([f"toile {name}", *name_scenes(arguments)]):

@@ -1,0 +1,85 @@
+"""``toile fit scene=R1``: reconstruct the cloth of one video."""
+
+from __future__ import annotations
+
+import logging
+import signal
+import time
+from pathlib import Path
+from typing import Any
+
+from lightning import Trainer
+from lightning.pytorch.trainer.states import TrainerStatus
+from omegaconf import DictConfig
+
+from toile.cli.configuration import instantiate, output_folder, resolved_yaml
+from toile.cli.fit_results import final_trajectory, write_motion, write_numbers, write_pictures
+from toile.cli.resume import last_checkpoint
+from toile.cli.terminal import print_evaluation, print_path
+from toile.evaluation.evaluate import evaluate
+from toile.fitting.module import Cycles, FitModule
+from toile.fitting.quiet import quiet_lightning
+from toile.fitting.reconstruction import Reconstruction
+from toile.fitting.scene_cloth import scene_units
+from toile.reports.run_folder import create_run_folder, write_config, write_git_revision
+from toile.scenes.scene import Scene
+
+log = logging.getLogger(__name__)
+
+
+def run(cfg: DictConfig) -> None:
+    """Fit, evaluate, and fill the run folder; an interrupted fit leaves what it has and can be continued."""
+    started = time.perf_counter()
+    quiet_lightning()
+    folder = create_run_folder(output_folder())
+    config = resolved_yaml(cfg)
+    checkpoint = last_checkpoint(folder, config)
+    write_config(folder, config)
+    write_git_revision(folder)
+    scene: Scene = instantiate(cfg.scene)
+    module = FitModule(build_reconstruction(cfg, scene), instantiate(cfg.optimization), cfg.seed)
+    interrupted = optimise(cfg, module, checkpoint)
+    trajectory = final_trajectory(module.reconstruction)
+    write_motion(folder, module, trajectory)
+    if interrupted:
+        print_path(folder.path, f": stopped after {module.cycles_done} of {module.n_cycles} cycles")
+        print_path(f"toile fit resume={folder.path}", " continues")
+        raise KeyboardInterrupt
+    evaluation = evaluate(trajectory, scene, module.reconstruction.renderer, seed=cfg.seed)
+    write_numbers(folder, module, trajectory, evaluation, time.perf_counter() - started)
+    write_pictures(folder, module, trajectory, evaluation, cfg.report)
+    print_evaluation(evaluation)
+    print_path(folder.path)
+    print_path(folder.page)
+
+
+def build_reconstruction(cfg: DictConfig, scene: Scene) -> Reconstruction:
+    """The problem that the configuration describes for a scene."""
+    cloth = instantiate(cfg.cloth)(scene)
+    parameters = instantiate(cfg.parameters)(
+        scene.n_frames, cloth.n_vertices, len(cloth.held), scene_units(scene, cfg.cloth.areal_density)
+    )
+    make_simulator = instantiate(cfg.simulator.build)
+    return Reconstruction(
+        scene, cloth, make_simulator, cfg.simulator.substeps, parameters, instantiate(cfg.renderer)
+    )
+
+
+def optimise(cfg: DictConfig, module: FitModule, checkpoint: Path | None) -> bool:
+    """Run the cycles, from a checkpoint if there is one; returns whether it was interrupted."""
+    callbacks = [c for c in instantiate(cfg.callbacks).values() if c is not None]
+    logger: Any = instantiate(cfg.logger) if cfg.get("logger") else False
+    trainer: Trainer = instantiate(cfg.trainer)(callbacks=callbacks, logger=logger)
+    if checkpoint is not None:
+        log.info("continuing from %s", checkpoint)
+    on_interrupt = signal.getsignal(signal.SIGINT)
+    try:
+        trainer.fit(module, Cycles(module), ckpt_path=checkpoint, weights_only=True)
+    except SystemExit:
+        # Lightning turns Ctrl-C into this, and ignores Ctrl-C from then on.
+        if trainer.state.status is not TrainerStatus.INTERRUPTED:
+            raise
+        signal.signal(signal.SIGINT, on_interrupt)
+        module.roll_back()
+        return True
+    return False

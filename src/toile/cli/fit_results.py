@@ -1,0 +1,153 @@
+"""What a fit leaves in its run folder."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+import torch
+from torch import Tensor
+
+from toile.cli.machine import machine
+from toile.evaluation.evaluate import EvaluationResult
+from toile.fitting.module import FitModule
+from toile.fitting.reconstruction import Reconstruction
+from toile.reports.figures import (
+    error_over_frames,
+    loss_curves,
+    parameter_histories,
+    save_figure,
+    side_view,
+)
+from toile.reports.html import write_result_page
+from toile.reports.overlay import overlay_pictures, write_video
+from toile.reports.run_folder import RunFolder, write_history, write_metrics, write_trajectory
+from toile.reports.run_report import result_page, true_points
+from toile.scenes.scene import Scene
+
+_SIDE_VIEWS = 4
+
+
+@torch.no_grad()
+def final_trajectory(reconstruction: Reconstruction) -> Tensor:
+    """The whole video simulated once more from the fitted parameters alone, (F, H, W, 3) [m].
+
+    Raises:
+        SimulationError: a step did not converge.
+    """
+    scene = reconstruction.scene
+    return reconstruction.simulate(scene.n_frames).positions[0].reshape(scene.n_frames, *scene.grid, 3)
+
+
+def fitted_parameters(reconstruction: Reconstruction) -> dict[str, npt.ArrayLike]:
+    """Everything that was fitted, by name and unit, for trajectory.npz."""
+    p, grid = reconstruction.parameters, reconstruction.scene.grid
+    material = p.material()
+    result: dict[str, npt.ArrayLike] = {
+        "stretching [N/m]": material.stretching.item(),
+        "shearing [N·m]": material.shearing.item(),
+        "bending [N·m]": material.bending.item(),
+    }
+    for name in p.STIFFNESSES:
+        result[f"{name} [network units]"] = p.get_parameter(name).item()
+    result["wind [m/s²]"] = p.wind.detach().numpy()
+    result["turbulence [m/s²]"] = p.turbulence.detach().numpy().reshape(-1, *grid, 3)
+    result["anchor motion [m]"] = p.anchor_motion.detach().numpy()
+    result["held vertices"] = reconstruction.cloth.held.numpy()
+    result["texture offset"] = p.texture_offset.detach().numpy().reshape(*grid, 2)
+    result["masses [kg]"] = reconstruction.cloth.masses.numpy().reshape(grid)
+    result["rest lengths [m]"] = reconstruction.cloth.rest_lengths.numpy()
+    return result
+
+
+def write_motion(folder: RunFolder, module: FitModule, trajectory: Tensor) -> None:
+    """Write history.csv and trajectory.npz: what a run must have to be of use."""
+    write_history(folder, pd.DataFrame(module.history))
+    reconstruction = module.reconstruction
+    write_trajectory(
+        folder,
+        trajectory.numpy(),
+        fps=reconstruction.scene.fps,
+        parameters=fitted_parameters(reconstruction),
+    )
+
+
+def write_numbers(
+    folder: RunFolder, module: FitModule, trajectory: Tensor, evaluation: EvaluationResult, seconds: float
+) -> None:
+    """Write metrics.json.
+
+    Args:
+        folder: where to.
+        module: after the fit.
+        trajectory: final one (F, H, W, 3) [m].
+        evaluation: of that trajectory.
+        seconds: duration of the command so far.
+    """
+    numbers: dict[str, Any] = {
+        **evaluation.to_dict(),
+        "fit": {
+            "cycles": module.cycles_done,
+            "seconds of the fit": sum(r["seconds"] for r in module.history),
+            "seconds in total": seconds,
+            "last losses": {k: v for k, v in module.history[-1].items() if k.startswith("loss")}
+            if module.history
+            else {},
+            "difference to the last cycle [mm]": _difference(module, trajectory),
+        },
+        "machine": machine(),
+    }
+    write_metrics(folder, numbers)
+
+
+def write_pictures(
+    folder: RunFolder, module: FitModule, trajectory: Tensor, evaluation: EvaluationResult, report: Any
+) -> None:
+    """Write figures, overlay.mp4 and index.html; ``report`` is that part of the configuration."""
+    reconstruction = module.reconstruction
+    scene = textured(reconstruction)
+    history = pd.DataFrame(module.history)
+    if any(np.isfinite(m.mean) for m in evaluation.metrics.values()):
+        save_figure(error_over_frames(evaluation), folder.figures / "errors.png")
+    if len(history):
+        units = [c for c in history.columns if c.endswith("]")]
+        save_figure(parameter_histories(history, dict.fromkeys(units, "")), folder.figures / "parameters.png")
+        save_figure(loss_curves(history), folder.figures / "losses.png")
+    n = scene.n_frames
+    frames = np.unique(np.linspace(0, n - 1, min(n, _SIDE_VIEWS)).round().astype(int)).tolist()
+    view = side_view(trajectory.numpy(), frames, true_points(scene, n))
+    save_figure(view, folder.figures / "side_view.png")
+    if report.video:
+        pictures = overlay_pictures(
+            scene.frames, scene.masks, _drawn(reconstruction, scene, trajectory), trajectory, scene.camera
+        )
+        write_video(pictures, folder.overlay_video, scene.fps)
+    page = result_page(folder, scene, reconstruction.renderer, report.pictures)
+    write_result_page(page, folder.page)
+
+
+def textured(reconstruction: Reconstruction) -> Scene:
+    """The scene with its texture coordinates as fitted."""
+    scene = reconstruction.scene
+    offset = reconstruction.parameters.texture_offset.detach().float().reshape(*scene.grid, 2)
+    return dataclasses.replace(scene, texture_coordinates=scene.texture_coordinates + offset)
+
+
+@torch.no_grad()
+def _drawn(reconstruction: Reconstruction, scene: Scene, trajectory: Tensor) -> Iterator[Tensor]:
+    uv = scene.texture_coordinates.reshape(-1, 2)
+    for x in trajectory.reshape(scene.n_frames, 1, -1, 3):
+        images = reconstruction.renderer.render(x, reconstruction.faces, uv, scene.texture, scene.camera)
+        yield images.rgb[0]
+
+
+def _difference(module: FitModule, trajectory: Tensor) -> float | None:
+    """Largest distance [mm] between the final trajectory and the motion that the last cycle saw."""
+    if module.report is None:
+        return None
+    seen = module.report.positions
+    return 1e3 * float((trajectory[: len(seen)].reshape(seen.shape) - seen).norm(dim=-1).max())

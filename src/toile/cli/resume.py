@@ -1,0 +1,83 @@
+"""Continuing an interrupted fit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from toile.errors import InputError
+from toile.fitting.callbacks.checkpoint import CycleCheckpoint
+from toile.reports.run_folder import RunFolder, read_config
+
+_KEY = "resume"
+# Parts of a configuration that may differ between the two halves of a fit: they leave the result alone.
+_FREE = ("trainer", "logger", "callbacks", "paths", "report")
+
+
+def resume_arguments(arguments: Sequence[str]) -> list[str]:
+    """Replace ``resume=<run folder>`` by the arguments that the run was started with.
+
+    Arguments beside it are added to them.
+
+    Raises:
+        InputError: the folder holds no fit, or nothing to continue from.
+    """
+    folders = [Path(a.partition("=")[2]) for a in arguments if a.partition("=")[0] == _KEY]
+    if not folders:
+        return list(arguments)
+    folder = folders[-1]
+    record = folder / ".hydra" / "overrides.yaml"
+    if not record.is_file() or not checkpoint_path(RunFolder(folder)).is_file():
+        raise InputError(
+            "There is no fit to continue",
+            where=str(folder),
+            expected=f"a run folder with .hydra/overrides.yaml and checkpoints/{CycleCheckpoint.NAME}",
+            got="no such folder" if not folder.is_dir() else "a folder without one of them",
+        )
+    before = [str(a) for a in yaml.safe_load(record.read_text(encoding="utf-8")) or []]
+    others = [a for a in arguments if a.partition("=")[0] != _KEY]
+    return [*before, *others, f"hydra.run.dir='{folder}'"]
+
+
+def checkpoint_path(folder: RunFolder) -> Path:
+    """Where the last checkpoint of a fit is, if it has one."""
+    return folder.path / "checkpoints" / CycleCheckpoint.NAME
+
+
+def last_checkpoint(folder: RunFolder, config: str) -> Path | None:
+    """Checkpoint to continue from, or None for a new fit.
+
+    Args:
+        folder: of the run; it may hold an interrupted one.
+        config: resolved configuration of this run, YAML text.
+
+    Raises:
+        InputError: the folder holds a fit with another configuration.
+    """
+    path = checkpoint_path(folder)
+    if not path.is_file():
+        return None
+    before, now = (_binding(yaml.safe_load(text)) for text in (read_config(folder), config))
+    changed = sorted(key for key in before.keys() | now.keys() if before.get(key) != now.get(key))
+    if changed:
+        raise InputError(
+            "The folder holds a fit with other settings",
+            where=str(folder.path),
+            expected="the settings it was started with, or another hydra.run.dir",
+            got="; ".join(f"{key}: {now.get(key)} instead of {before.get(key)}" for key in changed),
+        )
+    return path
+
+
+def _binding(config: Any, prefix: str = "") -> dict[str, Any]:
+    """Settings that a result follows from, flattened: {"scene.name": "R1", ...}."""
+    flat: dict[str, Any] = {}
+    for key, value in config.items():
+        name = f"{prefix}{key}"
+        if name in _FREE or name == "scene.data_dir":
+            continue
+        flat.update(_binding(value, f"{name}.") if isinstance(value, dict) else {name: value})
+    return flat

@@ -1,0 +1,1 @@
+"""The paper's optimisation: Adam over successively more frames."""

@@ -1,0 +1,1 @@
+"""What happens beside the cycles of a fit: checkpoints, progress, TensorBoard."""
