@@ -12,7 +12,6 @@ PYTHON ?= $(shell for p in python3.11 python3 python3.12 python3.13 python; do \
 	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
 
 export TOILE_DATA ?= data
-DEMO_SCENE := $(TOILE_DATA)/generated/demo
 # One thread: a second one gains nothing on these small systems, and costs a lot on a busy machine.
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
@@ -20,7 +19,7 @@ export MKL_NUM_THREADS ?= 1
 
 .PHONY: help
 help: ## List the targets
-	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 .PHONY: setup
 setup: $(READY) ## Make .venv with the pinned packages and toile itself
@@ -33,8 +32,8 @@ $(READY): pyproject.toml constraints.txt
 
 .PHONY: demo
 demo: setup ## Reconstruct a generated scene: table and result page
-	@test -f $(DEMO_SCENE)/scene.json || $(BIN)/toile generate experiment=demo folder=$(DEMO_SCENE)
-	$(BIN)/toile fit experiment=demo scene=$(DEMO_SCENE)
+	@test -f "$(TOILE_DATA)/generated/demo/scene.json" || $(BIN)/toile generate preset=demo
+	$(BIN)/toile fit experiment=demo
 
 .PHONY: test
 test: setup ## Run the tests; warnings are errors
@@ -59,6 +58,11 @@ bench: setup ## Measure speed and accuracy
 .PHONY: dashboard
 dashboard: setup ## Show the runs in outputs/ in TensorBoard
 	$(BIN)/tensorboard --logdir outputs
+
+.PHONY: constraints
+constraints: setup ## Pin what is installed in .venv
+	@{ grep '^#' constraints.txt; $(BIN)/python -m pip freeze --exclude-editable | sed -E 's/\+[a-z0-9.]+$$//'; } > .constraints.new
+	@mv .constraints.new constraints.txt && touch $(READY)
 
 .PHONY: clean
 clean: ## Remove caches and build products; outputs, data and .venv stay

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
+from toile.cli.run_scene import run_scene
 from toile.reports.run_folder import RunFolder, read_trajectory, write_config, write_trajectory
 
 
@@ -61,6 +64,8 @@ def test_evaluate_calls_nothing_that_a_run_folder_names(toile, run_folder: RunFo
     assert status == 2
     assert "os.mkdir" in err
     write_config(run_folder, text.replace("toile.scenes.texture_coordinates.from_file", "os.mkdir"))
+    assert toile("evaluate", "run=run").status == 2
+    write_config(run_folder, text.replace("fps: null", "fps: ${oc.create:{_target_:os.mkdir}}"))
     assert toile("evaluate", "run=run").status == 2
 
 
@@ -183,6 +188,20 @@ def test_report(toile, run_folder: RunFolder) -> None:
     # The figures write the slash of N/m as an escape.
     for expected in ("tiny", "Vertex error", "areal density [kg/m²]", "stretching [N", "Frame 2"):
         assert expected in page
+
+
+@pytest.mark.parametrize("command", ["export", "report"])
+def test_fitted_texture_coordinates_are_used(toile, run_folder: RunFolder, monkeypatch, command) -> None:
+    module = importlib.import_module(f"toile.cli.{command}")
+    used = []
+    monkeypatch.setattr(module, "run_scene", lambda *a, **k: used.append(run_scene(*a, **k)) or used[-1])
+    trajectory = read_trajectory(run_folder)
+    for offset in (0.0, 0.25):
+        parameters = {"texture offset": np.full((6, 5, 2), offset)}
+        write_trajectory(run_folder, trajectory.positions, fps=25.0, parameters=parameters)
+        assert toile(command, "run=run").status == 0
+    without, with_offset = (scene.texture_coordinates for scene in used)
+    assert torch.allclose(with_offset - without, torch.tensor(0.25))
 
 
 def test_report_of_a_bare_trajectory(toile, run_folder: RunFolder) -> None:

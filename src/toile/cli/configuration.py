@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import fields, is_dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -58,8 +59,8 @@ def name_scenes(arguments: Sequence[str]) -> list[str]:
 
 
 def instantiate(node: Any) -> Any:
-    """Build what ``_target_`` names; lists and dictionaries below it become plain Python."""
-    return hydra.utils.instantiate(node, _convert_="all")
+    """Build what ``_target_`` names from plain Python values; in settings, lists become tuples."""
+    return _with_tuples(None if node is None else hydra.utils.instantiate(node, _convert_="all"))
 
 
 def resolved_yaml(cfg: DictConfig) -> str:
@@ -99,6 +100,9 @@ def scene_settings(cfg: DictConfig, run_config: str, where: Path) -> DictConfig:
     if not isinstance(settings, dict):
         raise InputError("The run names no scene", where=str(where), expected=expected, got=str(settings))
     unexpected = _targets(settings) - _SCENE_TARGETS
+    if "${" in str(settings):
+        # A stored configuration is resolved; references could build anything.
+        unexpected.add("a reference ${...}")
     if unexpected:
         raise InputError(
             "The run's scene is built by something unknown",
@@ -107,6 +111,18 @@ def scene_settings(cfg: DictConfig, run_config: str, where: Path) -> DictConfig:
             got=", ".join(sorted(unexpected)),
         )
     return OmegaConf.create({**settings, "data_dir": cfg.paths.data})
+
+
+def _with_tuples(value: Any) -> Any:
+    """Frozen settings with tuples where YAML, which has none, gave lists."""
+    if isinstance(value, list):
+        return tuple(map(_with_tuples, value))
+    if is_dataclass(value) and not isinstance(value, type):
+        old = {f.name: getattr(value, f.name) for f in fields(value) if f.init}
+        new = {name: _with_tuples(part) for name, part in old.items()}
+        changed = {name: part for name, part in new.items() if part is not old[name]}
+        return replace(value, **changed) if changed else value
+    return value
 
 
 def _targets(node: Any) -> set[str]:

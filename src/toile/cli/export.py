@@ -26,7 +26,7 @@ def run(cfg: DictConfig) -> None:
     folder = open_run_folder(Path(cfg.run))
     trajectory = read_trajectory(folder)
     # The texture is that of the first frame or of the template, so no other frame needs to be read.
-    scene = run_scene(cfg, folder, n_frames=1) if cfg.texture else None
+    scene = run_scene(cfg, folder, trajectory, n_frames=1) if cfg.texture else None
     animation = ClothAnimation(
         trajectory.positions,
         trajectory.fps,
