@@ -49,10 +49,13 @@ class Cloth:
 
 
 def grid_masses(height: int, width: int, cloth_size: tuple[float, float], areal_density: float) -> Tensor:
-    """Vertex masses (H·W,) [kg] of a uniform sheet: interior 1, border ½, corner ¼ of ρ · cell area (paper, 3.1.3).
+    """Vertex masses (H·W,) [kg] of a uniform sheet (paper, 3.1.3).
+
+    An interior vertex weighs ρ times the area of a cell, one on the border ½ and one at a corner ¼ of it.
 
     Args:
-        height, width: grid size.
+        height: number of vertices H along grid axis 0.
+        width: number of vertices W along grid axis 1.
         cloth_size: rest lengths of the two sides [m].
         areal_density: ρ [kg/m²].
     """
@@ -69,7 +72,9 @@ def uniform_rest_lengths(
     """Rest length of every edge of a flat grid of the given size [m] (as in the paper)."""
     along_i = (stencils.edges[:, 1] - stencils.edges[:, 0]) == grid[1]
     step_i, step_j = cloth_size[0] / (grid[0] - 1), cloth_size[1] / (grid[1] - 1)
-    return torch.where(along_i, step_i, step_j).to(torch.float64)
+    # Python numbers in torch.where would be rounded to float32.
+    steps = torch.tensor([step_j, step_i], dtype=torch.float64)
+    return steps[along_i.long()]
 
 
 def template_rest_lengths(stencils: Stencils, template: Tensor) -> Tensor:

@@ -11,13 +11,14 @@ _SMALL = 1e-12
 def angle_between(u: Tensor, v: Tensor) -> Tensor:
     """Unsigned angle in [0, π] between vectors (..., 3), by atan2 of sine and cosine.
 
-    The gradient is zero (not NaN) where the two are exactly parallel: the squared angle has a smooth minimum there.
+    The gradient is zero (not NaN) where the two are exactly parallel.
     """
     sine_squared = torch.linalg.cross(u, v).square().sum(-1)
     parallel = sine_squared <= _SMALL * u.square().sum(-1) * v.square().sum(-1)
     sine = torch.where(parallel, torch.ones_like(sine_squared), sine_squared).sqrt()
     cosine = (u * v).sum(-1)
-    return torch.where(parallel, torch.where(cosine > 0, 0.0, torch.pi).to(u), torch.atan2(sine, cosine))
+    straight = torch.where(cosine > 0, torch.zeros_like(cosine), torch.full_like(cosine, torch.pi))
+    return torch.where(parallel, straight, torch.atan2(sine, cosine))
 
 
 def squared_angle(u: Tensor, v: Tensor) -> Tensor:
