@@ -33,8 +33,8 @@ class Assembly:
         rest_lengths: (E,) [m].
         rest_corner_angles: (C,) [rad].
         held: flattened indices of held vertices; their rows leave the band (identity instead).
-        weights: optional per-element factors on Y, S and B, each (E,), (C,), (S,); for materials that vary over
-            the cloth.
+        weights: optional per-element factors on Y, S and B, each (E,), (C,), (S,); for materials that vary
+            over the cloth.
     """
 
     def __init__(
@@ -112,8 +112,8 @@ class Assembly:
             convex: drop every indefinite part (positive semi-definite, used when the exact one is not).
 
         Returns:
-            gradients (3, N, 3); band (3N, b + 1) with zero rows at held vertices; coupling (3 n_held, 3N), the
-            rows ∂²E/∂x_held∂x_free in the vertices' own order.
+            gradients (3, N, 3); band (3N, b + 1) with zero rows at held vertices; coupling (3 n_held, 3N),
+            the rows ∂²E/∂x_held∂x_free in the vertices' own order.
         """
         gradients = np.zeros((3, self.n, 3))
         band = np.zeros((3 * self.n, self.half_bandwidth + 1))

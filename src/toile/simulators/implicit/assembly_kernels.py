@@ -8,7 +8,8 @@ Both angle energies are functions of the cosine c of the angle between the edges
 """
 
 # Kernels are Python in syntax only: arrays and numbers follow Warp's own typing rules.
-# mypy: disable-error-code="arg-type, assignment, call-overload, index, misc, no-untyped-def, operator, valid-type"
+# mypy: disable-error-code="arg-type, assignment, call-overload, index, misc, no-untyped-def"
+# mypy: disable-error-code="operator, valid-type"
 
 import warp as wp
 
@@ -19,6 +20,7 @@ _MIN_SINE = 1.0e-4
 
 @wp.func
 def edge_terms(d: wp.vec3d, rest: wp.float64):
+    """Length, direction and stretch (length - rest) of an edge vector."""
     length = wp.max(wp.length(d), wp.float64(1.0e-12))
     return length, d / length, length - rest
 
@@ -46,8 +48,9 @@ def edge_energy(
     weight: wp.array(dtype=wp.float64),
     out: wp.array(dtype=wp.float64),
 ):
+    """Add Σ ½ w (‖e‖ - L₀)² to out[0]."""
     e = wp.tid()
-    length, direction, stretch = edge_terms(x[index[e, 1]] - x[index[e, 0]], rest[e])
+    _length, _direction, stretch = edge_terms(x[index[e, 1]] - x[index[e, 0]], rest[e])
     wp.atomic_add(out, 0, wp.float64(0.5) * weight[e] * stretch * stretch)
 
 
@@ -61,11 +64,12 @@ def angle_energy(
     slot: wp.int32,
     out: wp.array(dtype=wp.float64),
 ):
+    """Add Σ ½ w (θ - rest)² to out[slot]; sign -1 for straight angles."""
     e = wp.tid()
     k = x[index[e, 1]]
     u = wp.normalize(sign * (x[index[e, 0]] - k))
     v = wp.normalize(x[index[e, 2]] - k)
-    energy, g1, g2 = angle_terms(wp.dot(u, v), wp.length(wp.cross(u, v)), rest[e])
+    energy, _g1, _g2 = angle_terms(wp.dot(u, v), wp.length(wp.cross(u, v)), rest[e])
     wp.atomic_add(out, slot, weight[e] * energy)
 
 
@@ -112,6 +116,7 @@ def edge_derivatives(
     band: wp.array(dtype=wp.float64, ndim=2),
     coupling: wp.array(dtype=wp.float64, ndim=2),
 ):
+    """Add the unit-stiffness gradient and, on request, the stiffness-weighted Hessian of stretching."""
     e = wp.tid()
     p = index[e, 0]
     q = index[e, 1]
@@ -148,6 +153,7 @@ def angle_derivatives(
     band: wp.array(dtype=wp.float64, ndim=2),
     coupling: wp.array(dtype=wp.float64, ndim=2),
 ):
+    """Add the unit-stiffness gradient and, on request, the stiffness-weighted Hessian of an angle energy."""
     e = wp.tid()
     i = index[e, 0]
     k = index[e, 1]
@@ -160,7 +166,7 @@ def angle_derivatives(
     v = v / lv
     c = wp.dot(u, v)
     s = wp.length(wp.cross(u, v))
-    value, g1, g2 = angle_terms(c, s, rest[e])
+    _value, g1, g2 = angle_terms(c, s, rest[e])
     # Derivatives with respect to the vectors x_i - x_k (a) and x_j - x_k (b); sign² = 1.
     da = sign * (v - c * u) / lu
     db = (u - c * v) / lv

@@ -33,7 +33,7 @@ _pbtrs = _lapack("dpbtrs", 9)
 
 
 def bandwidth_order(n_vertices: int, pairs: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:
-    """Vertex order with a small bandwidth, by reverse Cuthill–McKee unless the given order is already as good.
+    """Vertex order with a small bandwidth: reverse Cuthill–McKee, or the given one where it is as good.
 
     Args:
         n_vertices: N.
@@ -68,7 +68,7 @@ class BandedCholesky:
 
     @staticmethod
     def factorise(band: Array) -> BandedCholesky | None:
-        """Factorise in place; None where the matrix is not positive definite."""
+        """Factorise in place; None where the matrix is not positive definite or not finite."""
         n = ctypes.c_int(band.shape[0])
         kd = ctypes.c_int(band.shape[1] - 1)
         ldab = ctypes.c_int(band.shape[1])
@@ -76,7 +76,9 @@ class BandedCholesky:
         _pbtrf(
             b"L", ctypes.byref(n), ctypes.byref(kd), band.ctypes.data, ctypes.byref(ldab), ctypes.byref(info)
         )
-        return BandedCholesky(band) if info.value == 0 else None
+        # LAPACK lets NaN pass as positive; it reaches the diagonal wherever it was.
+        definite = info.value == 0 and bool(np.isfinite(band[:, 0]).all())
+        return BandedCholesky(band) if definite else None
 
     def solve(self, right: Array) -> Array:
         """Solve for right-hand sides (..., n); returns the same shape."""
