@@ -10,14 +10,17 @@
 | E | internal energy Y e_Y + S e_S + B e_B | J |
 | f | external force | (N, 3) N |
 
-The exact Hessian gives quadratic convergence. Where its Cholesky factorisation or the line search fails, a
-growing multiple of the inertia is added, just enough to make it positive definite: dropping the indefinite
-parts instead (projection) was tried and takes ten times as many iterations out of a buckling instability.
+The exact Hessian gives quadratic convergence, and its factor serves further steps as long as each of them
+halves the residual: such a step costs a tenth of a factorisation. Where the exact Hessian is not positive
+definite, it is blended with the one without indefinite parts (projection), as little as makes it so: full
+projection is slow out of a buckling instability, a multiple of the inertia is slow into the minimum.
+Where the line search fails, a growing multiple of the inertia is added on top.
 Convergence is measured as out-of-balance force against the weight of the cloth.
 """
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,10 +32,15 @@ from toile.simulators.implicit.banded import BandedCholesky
 
 Array = NDArray[np.float64]
 
-# Multiples of the inertia added to an indefinite Hessian. Compressed edges need about Y · strain / (m / h²).
-_FIRST_DAMPING = 1.0
-_DAMPING_GROWTH = 4.0
-_MAX_DAMPING = 1e12
+_log = logging.getLogger(__name__)
+
+# Levels of regularisation: the share of the projected Hessian in the blend, then multiples of the inertia.
+_PROJECTED_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
+_INERTIA_GROWTH = 4.0
+_MAX_LEVEL = len(_PROJECTED_SHARES) + 20
+
+# A factor is used again as long as the largest residual shrinks at least to this fraction.
+_REUSE_RATIO = 0.5
 
 
 @dataclass(frozen=True)
@@ -42,7 +50,7 @@ class NewtonSettings:
     Attributes:
         tolerance: largest out-of-balance force on a vertex as a fraction of an interior vertex's weight at
             1 g; the equation is solved to this accuracy.
-        max_iterations: Newton iterations before the step is given up as not converged.
+        max_iterations: Newton iterations, each with a new Hessian, before the step is given up.
         max_halvings: step halvings of the back-tracking line search.
     """
 
@@ -56,16 +64,19 @@ class Linearization:
     """Derivatives of one converged step at its solution, in the vertices' own order unless stated.
 
     Attributes:
-        factor: Cholesky factor of the Hessian of Φ over the free vertices (band order), identity at held ones.
+        factor: Cholesky factor of the Hessian of Φ over the free vertices (band order), 1 at held ones.
         coupling: (3 n_held, 3N) ∂²E/∂x_held∂x_free.
         unit_gradients: (3, N, 3) gradients of e_Y, e_S and e_B.
         inertia: (N,) masses / (β h)².
+        exact: whether the Hessian is the exact one; if not, the solution is a saddle and the derivatives are
+            approximate.
     """
 
     factor: BandedCholesky
     coupling: Array
     unit_gradients: Array
     inertia: Array
+    exact: bool = True
 
 
 @dataclass(frozen=True)
@@ -118,14 +129,18 @@ def minimise_incremental_potential(
         kinetic = 0.5 * float((inertia[:, None] * away * away * free).sum())
         return kinetic + float(stiffness @ assembly.energies(at)) - float((forces * at * free).sum())
 
+    def rounding(before: float, after: float) -> bool:
+        """Whether a difference of Φ drowns in rounding, as it does close to the minimum."""
+        return abs(after - before) <= 1e-12 * (abs(before) + abs(after))
+
     starts = np.array(guesses, np.float64)
     starts[:, assembly.held] = anchors
-    values = [potential(start) for start in starts]
-    x = starts[int(np.argmin(values))]
+    values = np.array([potential(start) for start in starts])
+    best = int(np.argmin(np.where(np.isfinite(values), values, np.inf)))
+    x, value = starts[best], float(values[best])
     unit_gradients = assembly.gradients(x)
     residual = residual_of(unit_gradients, x)
-    value = min(values)
-    damping = 0.0
+    level = 0
     iteration = 0
     status = StepStatus.CONVERGED
     while True:
@@ -138,14 +153,7 @@ def minimise_incremental_potential(
             status = StepStatus.MAX_ITERATIONS
             break
         iteration += 1
-        _, exact, _ = assembly.hessian(x, stiffness, convex=False)
-        factor = None
-        while factor is None and damping <= _MAX_DAMPING:
-            band = exact.copy()
-            assembly.add_diagonal(band, inertia * (1 + damping))
-            factor = BandedCholesky.factorise(band)
-            if factor is None:
-                damping = max(_DAMPING_GROWTH * damping, _FIRST_DAMPING)
+        factor, level = _regularised_factor(assembly, x, stiffness, inertia, level)
         if factor is None:
             status = StepStatus.LINE_SEARCH_FAILED
             break
@@ -155,36 +163,84 @@ def minimise_incremental_potential(
         for _ in range(settings.max_halvings):
             trial = x + length * direction
             trial_value = potential(trial)
-            trial_gradients = assembly.gradients(trial)
-            trial_residual = residual_of(trial_gradients, trial)
-            # Close to the minimum differences of Φ drown in rounding; there a smaller residual decides.
-            lower = trial_value <= value + 1e-4 * length * slope
-            rounding = abs(trial_value - value) <= 1e-12 * (abs(value) + abs(trial_value))
-            if lower or (rounding and np.abs(trial_residual).max() < worst):
+            if trial_value <= value + 1e-4 * length * slope:
                 break
+            if rounding(value, trial_value):
+                trial_residual = residual_of(assembly.gradients(trial), trial)
+                if np.abs(trial_residual).max() < worst:
+                    break
             length *= 0.5
         else:
-            damping = max(_DAMPING_GROWTH * damping, _FIRST_DAMPING)
-            if damping > _MAX_DAMPING:
+            level = max(level + 1, len(_PROJECTED_SHARES))
+            if level > _MAX_LEVEL:
                 status = StepStatus.LINE_SEARCH_FAILED
                 break
             continue
-        damping = damping / _DAMPING_GROWTH**2 if damping > _FIRST_DAMPING else 0.0
-        x, value, unit_gradients, residual = trial, trial_value, trial_gradients, trial_residual
+        x, value, unit_gradients = trial, trial_value, assembly.gradients(trial)
+        residual = residual_of(unit_gradients, x)
+        while level == 0 and length == 1.0:
+            worst = float(np.abs(residual).max())
+            if worst <= threshold:
+                break
+            trial = x - assembly.from_band(factor.solve(assembly.to_band(residual)))
+            trial_gradients = assembly.gradients(trial)
+            trial_residual = residual_of(trial_gradients, trial)
+            if not np.abs(trial_residual).max() <= _REUSE_RATIO * worst:
+                break
+            trial_value = potential(trial)
+            if not (trial_value <= value or rounding(value, trial_value)):
+                break
+            x, value, unit_gradients, residual = trial, trial_value, trial_gradients, trial_residual
+        level = max(min(level, len(_PROJECTED_SHARES) - 1) - 1, 0)
     linearization = None
     if linearize:
         linearization = linearise(assembly, x, unit_gradients, stiffness, inertia)
     return StepSolution(x, status, iteration, float(np.abs(residual).max(initial=0.0)), linearization)
 
 
+def _regularised_factor(
+    assembly: Assembly, x: Array, stiffness: Array, inertia: Array, level: int
+) -> tuple[BandedCholesky | None, int]:
+    """Factor of the Hessian of Φ at the first level of regularisation, from ``level`` on, that allows one."""
+    _, exact, _ = assembly.hessian(x, stiffness, convex=False)
+    if level == 0:
+        assembly.add_diagonal(exact, inertia)
+        factor = BandedCholesky.factorise(exact)
+        if factor is not None:
+            return factor, 0
+        _, exact, _ = assembly.hessian(x, stiffness, convex=False)
+        level = 1
+    _, projected, _ = assembly.hessian(x, stiffness, convex=True)
+    while level <= _MAX_LEVEL:
+        beyond = level - len(_PROJECTED_SHARES)
+        share = 1.0 if beyond >= 0 else _PROJECTED_SHARES[level]
+        damping = _INERTIA_GROWTH**beyond if beyond >= 0 else 0.0
+        band = (1 - share) * exact + share * projected
+        assembly.add_diagonal(band, inertia * (1 + damping))
+        factor = BandedCholesky.factorise(band)
+        if factor is not None:
+            return factor, level
+        level += 1
+    return None, level
+
+
 def linearise(
     assembly: Assembly, x: Array, unit_gradients: Array, stiffness: Array, inertia: Array
 ) -> Linearization:
-    """Derivatives at x with the exact Hessian; the convex one only at a point that is no strict minimum."""
-    for convex in (False, True):
-        _, band, coupling = assembly.hessian(x, stiffness, convex=convex)
+    """Derivatives at x with the exact Hessian.
+
+    At a point that is no strict minimum (a saddle: cloth about to buckle) the projected Hessian takes its
+    place; the result is then not the derivative, says so in ``exact`` and is logged as a warning.
+
+    Raises:
+        FloatingPointError: not even the projected Hessian is positive definite.
+    """
+    for exact in (True, False):
+        _, band, coupling = assembly.hessian(x, stiffness, convex=not exact)
         assembly.add_diagonal(band, inertia)
         factor = BandedCholesky.factorise(band)
         if factor is not None:
-            return Linearization(factor, coupling, unit_gradients, inertia)
+            if not exact:
+                _log.warning("a step ended at a saddle of its potential: its derivatives are approximate")
+            return Linearization(factor, coupling, unit_gradients, inertia, exact)
     raise FloatingPointError("the Hessian is not positive definite even without its indefinite parts")
