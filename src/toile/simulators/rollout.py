@@ -19,7 +19,7 @@ class Rollout:
     Attributes:
         positions: (B, F, N, 3) [m], frame 0 is the initial state.
         substeps: sub-steps per frame.
-        all_positions: (B, (F-1)·substeps + 1, N, 3) [m], every sub-step, detached; the warm start of the next one.
+        all_positions: (B, (F-1)·substeps + 1, N, 3) [m], every sub-step, detached; a later warm start.
         steps: the step results, where they were asked for.
     """
 
@@ -98,5 +98,6 @@ def _explain(frame: int, sub: int, substeps: int, result: StepResult) -> str:
     return (
         f"simulation failed at frame {frame}, sub-step {sub} of {substeps}, scene {scene} of the batch: "
         f"{result.status[scene].value} (out-of-balance force {result.residual[scene]:.3g} N after "
-        f"{result.iterations[scene]} iterations). Try more sub-steps per frame, softer materials or smaller forces."
+        f"{result.iterations[scene]} iterations). Try more sub-steps per frame, softer materials or smaller "
+        "forces."
     )

@@ -22,6 +22,9 @@ Array = NDArray[np.float64]
 class Perturbation:
     """A change of every input of a rollout of one scene, or a gradient with respect to them.
 
+    Held vertices are where their anchors are, at frame 0 too: ``anchors[0]`` stands for both, and what
+    ``positions`` and ``velocities`` say about held vertices is ignored (zero in a gradient).
+
     Attributes:
         forces: (F-1, N, 3) [N].
         stiffness: (3,) Y [N/m], S, B [N·m].
@@ -50,30 +53,40 @@ class LinearizedRollout:
         self.simulator = simulator
         self.substeps = rollout.substeps
         self.steps: list[Linearization] = [step.linearization[scene] for step in rollout.steps]
-        if any(step is None for step in self.steps):
-            raise ValueError("expected a rollout made with linearize=True")
+        if not self.steps or any(step is None for step in self.steps):
+            raise ValueError("expected a rollout made with linearize=True whose every step is finite")
+        # A window may begin at a state with a past of its own. That past is fixed then, and the derivatives
+        # with respect to the initial positions and velocities treat it as a straight line.
+        first = rollout.steps[0].state.steps - 1
         self.n_frames = len(self.steps) // rollout.substeps + 1
         self.n_vertices = simulator.cloth.n_vertices
-        self._coefficients = simulator.integrator.prediction
+        self._coefficients = [
+            simulator.integrator.formula(first + step).prediction for step in range(len(self.steps))
+        ]
         self._h = simulator.time_step
+
+    @property
+    def exact(self) -> bool:
+        """Whether every derivative is exact; not so where a step ended at a saddle (see linearise)."""
+        return all(step.exact for step in self.steps)
 
     def tangent(self, change: Perturbation) -> Array:
         """Change of the frame positions (F, N, 3) for a change of the inputs, to first order."""
         return self.substep_tangent(change)[:: self.substeps]
 
     def substep_tangent(self, change: Perturbation) -> Array:
-        """Change of the positions of every sub-step ((F-1)·substeps + 1, N, 3), as in Rollout.all_positions."""
+        """Change of every sub-step's positions, ((F-1)·substeps + 1, N, 3), like Rollout.all_positions."""
         assembly = self.simulator.assembly
         free, held = assembly.free, assembly.held
         start = change.positions.copy()
         start[held] = change.anchors[0]
-        history = [start - k * self._h * change.velocities for k in range(len(self._coefficients))]
+        history = [start - k * self._h * change.velocities for k in range(self.simulator.integrator.history)]
         every = [start]
         moving = bool(np.any(change.anchors))
         for n, step in enumerate(self.steps):
             frame, sub = n // self.substeps, n % self.substeps + 1
             right = change.forces[frame] - np.tensordot(change.stiffness, step.unit_gradients, 1)
-            prediction = sum(c * x for c, x in zip(self._coefficients, history, strict=True))
+            prediction = sum(c * x for c, x in zip(self._coefficients[n], history, strict=True))
             right += step.inertia[:, None] * prediction
             if moving:
                 fraction = sub / self.substeps
@@ -86,10 +99,10 @@ class LinearizedRollout:
         return np.stack(every)
 
     def adjoint(self, gradient: Array) -> Perturbation:
-        """Gradient with respect to the inputs for a gradient with respect to the frame positions (F, N, 3)."""
+        """Gradient with respect to the inputs for a gradient with respect to frame positions (F, N, 3)."""
         assembly = self.simulator.assembly
         free, held = assembly.free, assembly.held
-        n, k = self.n_vertices, len(self._coefficients)
+        n, k = self.n_vertices, self.simulator.integrator.history
         to = Perturbation(
             np.zeros((self.n_frames - 1, n, 3)),
             np.zeros(3),
@@ -114,7 +127,7 @@ class LinearizedRollout:
             to.anchors[frame + 1] += fraction * anchor
             to_prediction = step.inertia[:, None] * adjoint
             pending.append(np.zeros((n, 3)))
-            for i, c in enumerate(self._coefficients):
+            for i, c in enumerate(self._coefficients[index]):
                 pending[i] = pending[i] + c * to_prediction
         pending[0] = pending[0] + gradient[0]
         for i, g in enumerate(pending):

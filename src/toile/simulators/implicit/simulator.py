@@ -1,4 +1,4 @@
-"""The exact implicit simulator behind the common interface, differentiable by the implicit function theorem."""
+"""The implicit simulator behind the common interface, differentiable by the implicit function theorem."""
 
 from __future__ import annotations
 
@@ -6,14 +6,16 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from toile.cloth.cloth import Cloth
 from toile.cloth.material import Material
 from toile.cloth.state import State
 from toile.simulators.base import Simulator, StepResult
 from toile.simulators.implicit.assembly import Assembly
-from toile.simulators.implicit.integrators import Integrator
+from toile.simulators.implicit.integrators import Formula, Integrator
 from toile.simulators.implicit.newton import (
     NewtonSettings,
     StepSolution,
@@ -47,7 +49,6 @@ class ImplicitSimulator(Simulator):
         self.assembly = Assembly(
             cloth.stencils, cloth.rest_lengths.numpy(), cloth.rest_corner_angles.numpy(), cloth.held.numpy()
         )
-        self.inertia = cloth.masses.numpy() / (integrator.effective_step * time_step) ** 2
         self._force_scale = float(cloth.masses.max()) * STANDARD_GRAVITY
 
     def step(
@@ -60,29 +61,66 @@ class ImplicitSimulator(Simulator):
         *,
         linearize: bool = False,
     ) -> StepResult:
-        """See Simulator.step. Without a guess the prediction x̂ starts Newton's method."""
+        """See Simulator.step. Newton's method starts from the guess or an extrapolation, whichever is lower.
+
+        Raises:
+            ValueError: an argument is of wrong shape or type.
+        """
+        self._check(state, material, forces, anchors, guess)
+        formula = self.integrator.formula(state.steps)
         history = torch.cat((state.positions[:, None], state.past), dim=1)
-        weights = torch.tensor(self.integrator.prediction, dtype=history.dtype)
+        weights = torch.tensor(formula.prediction, dtype=history.dtype)
         prediction = (weights[None, :, None, None] * history[:, : self.integrator.history]).sum(1)
         stiffness = torch.stack((material.stretching, material.shearing, material.bending), -1)
         start = self._guesses(history, guess)
         solutions: list[StepSolution] = []
         positions: Tensor = _ImplicitStep.apply(
-            self, solutions, linearize, start, prediction, stiffness, forces, anchors
+            self, self._inertia(formula), solutions, linearize, start, prediction, stiffness, forces, anchors
         )
         new_history = torch.cat((positions[:, None], history), dim=1)[:, : self.n_past + 1]
-        d = torch.tensor(self.integrator.velocity, dtype=history.dtype)
+        d = torch.tensor(formula.velocity, dtype=history.dtype)
         velocities = (d[None, :, None, None] * new_history[:, : len(d)]).sum(1) / self.time_step
         return StepResult(
-            state=State(positions, velocities, new_history[:, 1:]),
+            state=State(positions, velocities, new_history[:, 1:], state.steps + 1),
             status=tuple(s.status for s in solutions),
             iterations=tuple(s.iterations for s in solutions),
             residual=tuple(s.residual for s in solutions),
             linearization=tuple(s.linearization for s in solutions),
         )
 
+    @property
+    def inertia(self) -> NDArray[np.float64]:
+        """Masses / (β h)² of a regular step, (N,) [kg/s²]."""
+        return self._inertia(self.integrator.regular)
+
+    def _inertia(self, formula: Formula) -> NDArray[np.float64]:
+        return self.cloth.masses.numpy() / (formula.effective_step * self.time_step) ** 2
+
+    def _check(
+        self, state: State, material: Material, forces: Tensor, anchors: Tensor, guess: Tensor | None
+    ) -> None:
+        batch, n = state.positions.shape[0], self.cloth.n_vertices
+        expected = {
+            "positions": (state.positions, (batch, n, 3)),
+            "velocities": (state.velocities, (batch, n, 3)),
+            "past": (state.past, (batch, self.n_past, n, 3)),
+            "stretching stiffness": (material.stretching, (batch,)),
+            "shearing stiffness": (material.shearing, (batch,)),
+            "bending stiffness": (material.bending, (batch,)),
+            "forces": (forces, (batch, n, 3)),
+            "anchors": (anchors, (batch, len(self.cloth.held), 3)),
+        }
+        if guess is not None:
+            expected["guess"] = (guess, (batch, n, 3))
+        for name, (tensor, shape) in expected.items():
+            if tuple(tensor.shape) != shape or tensor.dtype != torch.float64 or tensor.device.type != "cpu":
+                raise ValueError(
+                    f"{name}: expected float64 of shape {shape} on the CPU, "
+                    f"got {tensor.dtype} of shape {tuple(tensor.shape)} on {tensor.device}"
+                )
+
     def _guesses(self, history: Tensor, guess: Tensor | None) -> Tensor:
-        """Candidate starts of Newton's method, (B, G, N, 3): extrapolations of the past and the warm start."""
+        """Candidate starts of Newton's method, (B, G, N, 3): extrapolated past and warm start."""
         past = history.detach()
         candidates = [2 * past[:, 0] - past[:, 1]]
         if past.shape[1] > 2:
@@ -99,6 +137,7 @@ class _ImplicitStep(torch.autograd.Function):
     def forward(
         ctx: Any,
         simulator: ImplicitSimulator,
+        inertia: NDArray[np.float64],
         solutions: list[StepSolution],
         linearize: bool,
         guesses: Tensor,
@@ -116,17 +155,18 @@ class _ImplicitStep(torch.autograd.Function):
                     anchors[b].detach().numpy(),
                     forces[b].detach().numpy(),
                     stiffness[b].detach().numpy(),
-                    simulator.inertia,
+                    inertia,
                     simulator._force_scale,
                     simulator.newton,
                     linearize=linearize,
                 )
             )
-        ctx.simulator, ctx.solutions = simulator, list(solutions)
+        ctx.simulator, ctx.inertia, ctx.solutions = simulator, inertia, list(solutions)
         ctx.stiffness = stiffness.detach()
         return torch.from_numpy(np.stack([s.positions for s in solutions]))
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Any, ...]:
         simulator: ImplicitSimulator = ctx.simulator
         assembly = simulator.assembly
@@ -137,7 +177,7 @@ class _ImplicitStep(torch.autograd.Function):
             linear = solution.linearization
             if linear is None:
                 unit = assembly.gradients(solution.positions)
-                linear = linearise(assembly, solution.positions, unit, k, simulator.inertia)
+                linear = linearise(assembly, solution.positions, unit, k, ctx.inertia)
             g = gradient[b].numpy()
             adjoint = assembly.from_band(linear.factor.solve(assembly.to_band(g * assembly.free)))
             to_forces.append(adjoint)
@@ -147,4 +187,4 @@ class _ImplicitStep(torch.autograd.Function):
         stacked = [
             torch.from_numpy(np.stack(a)) for a in (to_prediction, to_stiffness, to_forces, to_anchors)
         ]
-        return (None, None, None, None, *stacked)
+        return (None, None, None, None, None, *stacked)
