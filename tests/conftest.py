@@ -11,6 +11,8 @@ import pytest
 import torch
 from PIL import Image, ImageDraw
 
+from toile.generation.generator import GeneratorSettings, generate
+from toile.generation.textures import procedural_texture
 from toile.geometry.camera import Camera
 from toile.scenes.native import write_native
 from toile.scenes.scene import GroundTruth, Scene
@@ -72,3 +74,18 @@ def tiny_scene() -> Scene:
 @pytest.fixture
 def tiny_folder(tiny_scene: Scene, tmp_path: Path) -> Path:
     return write_native(tiny_scene, tmp_path / "tiny")
+
+
+@pytest.fixture(scope="session")
+def swaying_scene() -> Scene:
+    """An 8×8 cloth in the wind, simulated and rendered: 5 frames of 64×64 px that a fit can explain."""
+    settings = GeneratorSettings(
+        name="swaying",
+        grid=(8, 8),
+        refinement=1,
+        substeps=4,
+        n_frames=5,
+        image_size=(64, 64),
+        focal_length=96.0,
+    )
+    return generate(settings, procedural_texture(128, 128, seed=0))[0]

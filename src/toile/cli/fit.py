@@ -16,6 +16,7 @@ from toile.cli.configuration import instantiate, output_folder, resolved_yaml
 from toile.cli.fit_results import final_trajectory, write_motion, write_numbers, write_pictures
 from toile.cli.resume import last_checkpoint
 from toile.cli.terminal import print_evaluation, print_path
+from toile.errors import InputError
 from toile.evaluation.evaluate import evaluate
 from toile.fitting.module import Cycles, FitModule
 from toile.fitting.quiet import quiet_lightning
@@ -36,6 +37,7 @@ def run(cfg: DictConfig) -> None:
     checkpoint = last_checkpoint(folder, config)
     write_config(folder, config)
     write_git_revision(folder)
+    check_losses_are_used(cfg)
     scene: Scene = instantiate(cfg.scene)
     module = FitModule(build_reconstruction(cfg, scene), instantiate(cfg.optimization), cfg.seed)
     interrupted = optimise(cfg, module, checkpoint)
@@ -51,6 +53,22 @@ def run(cfg: DictConfig) -> None:
     print_evaluation(evaluation)
     print_path(folder.path)
     print_path(folder.page)
+
+
+def check_losses_are_used(cfg: DictConfig) -> None:
+    """Refuse terms that the optimisation would ignore.
+
+    Raises:
+        InputError: there are terms in ``loss`` but the optimisation brings its own.
+    """
+    terms = [name for name, term in (cfg.get("loss") or {}).items() if term is not None]
+    if terms and "losses" not in cfg.optimization:
+        raise InputError(
+            "The optimisation has terms of its own",
+            where="loss",
+            expected="loss=none, or an optimisation that takes them, as optimization=adam does",
+            got=", ".join(map(str, terms)),
+        )
 
 
 def build_reconstruction(cfg: DictConfig, scene: Scene) -> Reconstruction:

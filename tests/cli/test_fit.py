@@ -1,0 +1,172 @@
+"""``toile fit`` from the command line to the run folder."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shutil
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from toile.fitting.adam.recipe import SuccessiveFramesAdam
+from toile.reports.run_folder import RunFolder, read_history, read_metrics, read_trajectory
+from toile.scenes.native import write_native
+from toile.scenes.scene import Scene
+
+Toile = Callable[..., Any]
+PAPER = (
+    "fit",
+    "scene=swaying",
+    "experiment=paper",
+    "optimization.cycles=6",
+    "optimization.first_frames=3",
+    "optimization.cycles_per_frame=1",
+    "callbacks.checkpoint.every=2",
+)
+QUICK = ("logger=none", "report.video=false")
+
+
+@pytest.fixture
+def swaying(swaying_scene: Scene, tmp_path: Path) -> Path:
+    """The scene "swaying" in the data folder."""
+    return write_native(swaying_scene, tmp_path / "data" / "made" / "swaying")
+
+
+def identical(a: RunFolder, b: RunFolder) -> bool:
+    first, second = read_trajectory(a), read_trajectory(b)
+    assert first.parameters.keys() == second.parameters.keys()
+    same = [np.array_equal(v, second.parameters[k]) for k, v in first.parameters.items()]
+    return np.array_equal(first.positions, second.positions) and all(same)
+
+
+def interrupt_at(n: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C in cycle n."""
+    cycle = SuccessiveFramesAdam.cycle
+
+    def interrupted(self: SuccessiveFramesAdam, reconstruction: Any, index: int) -> Any:
+        if index == n:
+            raise KeyboardInterrupt
+        return cycle(self, reconstruction, index)
+
+    monkeypatch.setattr(SuccessiveFramesAdam, "cycle", interrupted)
+
+
+@pytest.mark.usefixtures("swaying")
+def test_a_run_folder_holds_everything(toile: Toile, tmp_path: Path) -> None:
+    outcome = toile(*PAPER, "hydra.run.dir=run")
+    assert outcome.status == 0, outcome.err
+    assert "Silhouette IoU" in outcome.out
+    assert str(tmp_path / "run" / "index.html") in outcome.out
+    assert "GPU available" not in outcome.err
+    run = RunFolder(tmp_path / "run")
+    for path in (run.config, run.git_revision, run.history, run.page, run.overlay_video):
+        assert path.stat().st_size > 0
+    assert {p.name for p in run.figures.iterdir()} == {
+        "errors.png",
+        "losses.png",
+        "parameters.png",
+        "side_view.png",
+    }
+    assert list((run.path / "tensorboard").glob("events.out.tfevents.*"))
+    metrics = read_metrics(run)
+    assert metrics["metrics"]["chamfer"]["mean"] < 1.0
+    assert metrics["metrics"]["silhouette_iou"]["mean"] > 0.98
+    assert metrics["fit"]["cycles"] == 6
+    assert 0 < metrics["fit"]["seconds of the fit"] < metrics["fit"]["seconds in total"]
+    assert metrics["machine"]["processors"] >= 1
+    trajectory = read_trajectory(run)
+    assert trajectory.positions.shape == (5, 8, 8, 3)
+    assert trajectory.parameters["turbulence [m/s²]"].shape == (4, 8, 8, 3)
+    history = read_history(run)
+    assert history["cycle"].tolist() == list(range(6))
+    assert history["frames"].tolist() == [3, 4, 5, 5, 5, 5]
+
+
+@pytest.mark.usefixtures("swaying")
+def test_default_optimisation(toile: Toile, tmp_path: Path) -> None:
+    outcome = toile("fit", "scene=swaying", *QUICK, "hydra.run.dir=run")
+    assert outcome.status == 0, outcome.err
+    metrics = read_metrics(RunFolder(tmp_path / "run"))
+    assert metrics["metrics"]["chamfer"]["mean"] < 1.0
+    # The parameters alone reproduce the motion that the optimisation has seen.
+    assert metrics["fit"]["difference to the last cycle [mm]"] < 0.01
+
+
+def test_without_ground_truth(swaying_scene: Scene, toile: Toile, tmp_path: Path) -> None:
+    write_native(
+        dataclasses.replace(swaying_scene, ground_truth=None), tmp_path / "data" / "made" / "swaying"
+    )
+    outcome = toile(*PAPER, *QUICK, "hydra.run.dir=run")
+    assert outcome.status == 0, outcome.err
+    metrics = read_metrics(RunFolder(tmp_path / "run"))
+    assert set(metrics["metrics"]) == {"silhouette_iou"}
+    assert not (tmp_path / "run" / "overlay.mp4").exists()
+
+
+@pytest.mark.usefixtures("swaying")
+def test_an_interrupted_fit_leaves_a_usable_folder_and_continues(
+    toile: Toile, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert toile(*PAPER, *QUICK, "hydra.run.dir=whole").status == 0
+    handler = signal.getsignal(signal.SIGINT)
+    with monkeypatch.context() as patch:
+        interrupt_at(3, patch)
+        outcome = toile(*PAPER, *QUICK, "hydra.run.dir=run")
+    assert outcome.status == 130
+    assert "stopped after 3 of 6 cycles" in outcome.out
+    assert signal.getsignal(signal.SIGINT) is handler
+    run = RunFolder(tmp_path / "run")
+    assert len(read_history(run)) == 3
+    assert read_trajectory(run).positions.shape[0] == 5
+    outcome = toile("fit", "resume=run")
+    assert outcome.status == 0, outcome.err
+    assert "continuing from" in outcome.err
+    assert len(read_history(run)) == 6
+    assert identical(run, RunFolder(tmp_path / "whole"))
+
+
+@pytest.mark.usefixtures("swaying")
+def test_the_same_command_continues_its_folder(
+    toile: Toile, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patch:
+        interrupt_at(3, patch)
+        assert toile(*PAPER, *QUICK, "hydra.run.dir=run").status == 130
+    shutil.copytree(tmp_path / "run", tmp_path / "copy")
+    assert toile(*PAPER, *QUICK, "hydra.run.dir=run").status == 0
+    # In another folder with other loggers and paths it is still the same fit.
+    assert toile(*PAPER, *QUICK, "callbacks.progress=null", "hydra.run.dir=copy").status == 0
+    assert identical(RunFolder(tmp_path / "run"), RunFolder(tmp_path / "copy"))
+    outcome = toile(*PAPER, *QUICK, "loss.silhouette.sigma=5", "hydra.run.dir=run")
+    assert outcome.status == 2
+    assert "loss.silhouette.sigma: 5 instead of 7.0" in outcome.err
+
+
+def test_nothing_to_resume(toile: Toile) -> None:
+    outcome = toile("fit", "resume=nowhere")
+    assert outcome.status == 2
+    assert "There is no fit to continue" in outcome.err
+
+
+@pytest.mark.usefixtures("swaying")
+def test_terms_that_would_be_ignored_are_refused(toile: Toile) -> None:
+    outcome = toile("fit", "scene=swaying", "loss=paper")
+    assert outcome.status == 2
+    assert "The optimisation has terms of its own" in outcome.err
+
+
+@pytest.mark.usefixtures("swaying")
+def test_ablation_on_the_command_line(toile: Toile, tmp_path: Path) -> None:
+    outcome = toile(*PAPER, *QUICK, "ablation=no_turbulence", "hydra.run.dir=run")
+    assert outcome.status == 0, outcome.err
+    trajectory = read_trajectory(RunFolder(tmp_path / "run"))
+    assert not trajectory.parameters["turbulence [m/s²]"].any()
+    assert trajectory.parameters["texture offset"].any()
+    history = pd.read_csv(tmp_path / "run" / "history.csv")
+    assert json.loads((tmp_path / "run" / "metrics.json").read_text())["fit"]["cycles"] == len(history)

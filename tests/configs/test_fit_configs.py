@@ -1,0 +1,104 @@
+"""Ablations and experiments of ``toile fit``: each changes what it says and nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from hydra import compose, initialize_config_dir
+from hydra.errors import ConfigCompositionException
+from omegaconf import OmegaConf
+
+from toile.cli.configuration import CONF, register_resolvers
+
+# The one setting that an ablation changes, and what to.
+ABLATIONS = {
+    "none": {},
+    "no_silhouette": {"loss.silhouette": None},
+    "no_force_regularization": {"loss.force_regularization": None},
+    "no_turbulence": {"optimization.learning_rates.turbulence": None},
+    "no_uv": {"optimization.learning_rates.texture_offset": None},
+    "no_successive": {"optimization.first_frames": None},
+}
+
+
+@pytest.fixture(autouse=True)
+def _hydra() -> Iterator[None]:
+    register_resolvers()
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        yield
+
+
+def settings(*overrides: str) -> dict[str, Any]:
+    """The composed configuration, flattened; references stay references."""
+
+    def flatten(node: Any, prefix: str) -> dict[str, Any]:
+        if not isinstance(node, dict):
+            return {prefix: node}
+        flat: dict[str, Any] = {}
+        for key, value in node.items():
+            flat.update(flatten(value, f"{prefix}.{key}".lstrip(".")))
+        return flat
+
+    return flatten(OmegaConf.to_container(compose("fit", ["scene=R1", *overrides]), resolve=False), "")
+
+
+def changes(base: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:
+    """Settings that differ; those below a term that was removed count as the term."""
+    found = {k: other.get(k) for k in other.keys() | base.keys() if base.get(k, "-") != other.get(k, "-")}
+    removed = [k for k, v in found.items() if v is None and k in other]
+    below = tuple(f"{term}." for term in removed)
+    return {k: v for k, v in found.items() if not k.startswith(below)}
+
+
+def test_every_ablation_is_listed() -> None:
+    assert {path.stem for path in (CONF / "ablation").glob("*.yaml")} == set(ABLATIONS)
+
+
+@pytest.mark.parametrize("base", [["optimization=adam"], ["experiment=paper"]])
+@pytest.mark.parametrize("name", ABLATIONS)
+def test_an_ablation_changes_one_setting(name: str, base: list[str]) -> None:
+    assert changes(settings(*base), settings(*base, f"ablation={name}")) == ABLATIONS[name]
+
+
+def test_ablations_alone_use_the_papers_optimisation() -> None:
+    assert settings("ablation=none") == settings("optimization=adam")
+
+
+def test_a_term_goes_by_one_override() -> None:
+    removed = settings("optimization=adam", "loss.silhouette=null")
+    assert changes(settings("optimization=adam"), removed) == {"loss.silhouette": None}
+
+
+def test_a_term_the_default_optimisation_does_not_have_cannot_be_removed() -> None:
+    with pytest.raises(ConfigCompositionException, match=r"loss\.silhouette"):
+        settings("loss.silhouette=null")
+
+
+def test_conventions_of_the_force_regularization_differ_as_documented() -> None:
+    prefix = "loss.force_regularization."
+    assert changes(settings("experiment=paper"), settings("experiment=paper", "loss=published_code")) == {
+        f"{prefix}beta": 1e-2,
+        f"{prefix}gamma": 1e-3,
+        f"{prefix}reduction": "mean",
+    }
+
+
+def test_paper_experiment() -> None:
+    paper = settings("experiment=paper")
+    assert paper["optimization._target_"].endswith("SuccessiveFramesAdam")
+    assert paper["simulator.build.integrator._target_"].endswith("BackwardEuler")
+    assert paper["simulator.substeps"] == 1
+    assert paper["cloth.rest_lengths._target_"].endswith("uniform")
+    assert paper["scene.texture_coordinates._target_"].endswith("from_file")
+    assert [paper[f"parameters.{k}"] for k in ("stretching", "shearing", "bending")] == [3000, 8, 0.5]
+    rates = "optimization.learning_rates."
+    assert [paper[rates + k] for k in ("stretching", "shearing", "bending")] == [50, 0.1, 0.01]
+    assert [paper[rates + k] for k in ("wind", "turbulence", "texture_offset")] == [0.05, 1e-3, 2e-4]
+    assert paper["optimization.cycles"] == 250
+    assert paper["optimization.first_frames"] == 10
+    assert paper["optimization.cycles_per_frame"] == 5
+    regularization = "loss.force_regularization."
+    assert [paper[regularization + k] for k in ("alpha", "beta", "gamma")] == [1e-2, 1e-3, 1e-2]
+    assert paper[regularization + "reduction"] == "sum"

@@ -1,0 +1,87 @@
+"""Problems and recipes on the swaying cloth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from toile.fitting.adam.recipe import SuccessiveFramesAdam
+from toile.fitting.losses.force_regularization import ForceRegularization
+from toile.fitting.losses.image import ImageLoss
+from toile.fitting.losses.silhouette import SilhouetteLoss
+from toile.fitting.parameters import ClothParameters
+from toile.fitting.quiet import quiet_lightning
+from toile.fitting.reconstruction import Reconstruction
+from toile.fitting.scene_cloth import scene_cloth, scene_units, template
+from toile.rendering import WarpRenderer
+from toile.scenes.scene import Scene
+from toile.simulators.implicit.integrators import BDF2
+from toile.simulators.implicit.newton import NewtonSettings
+from toile.simulators.implicit.simulator import ImplicitSimulator
+
+AREAL_DENSITY = 0.15
+
+
+@pytest.fixture(autouse=True)
+def _quiet() -> None:
+    quiet_lightning()
+
+
+@pytest.fixture
+def problem(swaying_scene: Scene) -> Callable[[], Reconstruction]:
+    """Makes the same problem anew each time."""
+
+    def make() -> Reconstruction:
+        cloth = scene_cloth(swaying_scene, AREAL_DENSITY, template)
+        parameters = ClothParameters(
+            swaying_scene.n_frames,
+            cloth.n_vertices,
+            len(cloth.held),
+            scene_units(swaying_scene, AREAL_DENSITY),
+            stretching=3000.0,
+            shearing=8.0,
+            bending=0.5,
+        )
+        return Reconstruction(
+            swaying_scene,
+            cloth,
+            lambda cloth, step: ImplicitSimulator(cloth, step, BDF2(), NewtonSettings()),
+            2,
+            parameters,
+            WarpRenderer(),
+        )
+
+    return make
+
+
+@pytest.fixture
+def adam() -> Callable[..., SuccessiveFramesAdam]:
+    """Makes the paper's recipe with few cycles; arguments replace its settings."""
+
+    def make(**changes: Any) -> SuccessiveFramesAdam:
+        settings: dict[str, Any] = {
+            "losses": {
+                "image": ImageLoss(1.0),
+                "silhouette": SilhouetteLoss(7.0, 1.0),
+                "force_regularization": ForceRegularization(1e-2, 1e-3, 1e-2, "sum"),
+            },
+            "learning_rates": {
+                "stretching": 50.0,
+                "shearing": 0.1,
+                "bending": 0.01,
+                "wind": 0.05,
+                "turbulence": 1e-3,
+                "anchor_motion": 1e-3,
+                "texture_offset": 2e-4,
+            },
+            "minimum": {"stretching": 10.0, "shearing": 0.01, "bending": 1e-5},
+            "cycles": 12,
+            "first_frames": 3,
+            "cycles_per_frame": 3,
+            "frames_per_render": 8,
+        }
+        return SuccessiveFramesAdam(**{**settings, **changes})
+
+    return make
