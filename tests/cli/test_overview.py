@@ -60,6 +60,12 @@ def test_any_name_or_folder_is_a_scene(toile) -> None:
     assert "name: 12e4" in out or "name: '12e4'" in out
 
 
+def test_flags_may_stand_anywhere(toile) -> None:
+    status, out, _ = toile("evaluate", "run=x", "--cfg", "job", "seed=4", "-p", "seed", "~renderer")
+    assert status == 0
+    assert out.split() == ["4"]
+
+
 def test_scenes_of_a_config_folder_stay_files(toile, tmp_path: Path) -> None:
     (tmp_path / "mine" / "scene").mkdir(parents=True)
     (tmp_path / "mine" / "scene" / "curtain.yaml").write_text("defaults: [native]\nname: red curtain\n")

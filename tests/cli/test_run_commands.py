@@ -35,6 +35,13 @@ def test_evaluate_again_gives_the_same_bytes(toile, run_folder: RunFolder) -> No
     assert run_folder.metrics.read_bytes() == first
 
 
+def test_evaluate_keeps_what_the_fit_noted(toile, run_folder: RunFolder) -> None:
+    run_folder.metrics.write_text('{"fit": {"cycles": 3}, "seed": 7}')
+    assert toile("evaluate", "run=run").status == 0
+    saved = json.loads(run_folder.metrics.read_text())
+    assert (saved["fit"], saved["seed"]) == ({"cycles": 3}, 0)
+
+
 def test_evaluate_against_a_named_scene_and_without_renderer(toile, run_folder: RunFolder) -> None:
     run_folder.config.unlink()
     status, _, _ = toile("evaluate", "run=run", "scene=tiny", "scene.n_frames=3", "~renderer")
@@ -103,7 +110,7 @@ def test_unreadable_image(toile, run_folder: RunFolder, scene_folder: Path, comm
 
 
 def test_interrupted_write_leaves_the_old_file(toile, run_folder: RunFolder, monkeypatch) -> None:
-    run_folder.metrics.write_text("old")
+    run_folder.metrics.write_text('{"fit": "old"}')
     before = sorted(run_folder.path.iterdir())
 
     def interrupt(*_: object) -> None:
@@ -112,7 +119,7 @@ def test_interrupted_write_leaves_the_old_file(toile, run_folder: RunFolder, mon
     monkeypatch.setattr(os, "replace", interrupt)
     status, _, err = toile("evaluate", "run=run")
     assert (status, err) == (130, "interrupted\n")
-    assert run_folder.metrics.read_text() == "old"
+    assert run_folder.metrics.read_text() == '{"fit": "old"}'
     assert sorted(run_folder.path.iterdir()) == before
 
 

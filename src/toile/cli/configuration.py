@@ -36,6 +36,11 @@ def register_resolvers() -> None:
     OmegaConf.register_new_resolver("summary", lambda name: COMMANDS[name].summary, replace=True)
 
 
+def flags_first(arguments: Sequence[str]) -> list[str]:
+    """Flags such as -m may stand anywhere; Hydra's parser wants all overrides in one piece."""
+    return sorted(arguments, key=lambda a: not a.startswith("-") and ("=" in a or a.startswith("~")))
+
+
 def name_scenes(arguments: Sequence[str]) -> list[str]:
     """Let ``scene=`` take any name or folder: what is no file in conf/scene becomes native with that name.
 

@@ -11,7 +11,7 @@ from toile.cli.configuration import instantiate
 from toile.cli.run_scene import run_scene
 from toile.cli.terminal import print_evaluation, print_path
 from toile.evaluation.evaluate import evaluate
-from toile.reports.run_folder import open_run_folder, read_trajectory, write_metrics
+from toile.reports.run_folder import open_run_folder, read_metrics, read_trajectory, write_metrics
 
 
 def run(cfg: DictConfig) -> None:
@@ -26,4 +26,6 @@ def run(cfg: DictConfig) -> None:
         n_frames=cfg.n_frames,
     )
     print_evaluation(result)
-    print_path(write_metrics(folder, result.to_dict()))
+    # What a fit has noted beside its metrics stays.
+    before = read_metrics(folder) if folder.metrics.is_file() else {}
+    print_path(write_metrics(folder, {**before, **result.to_dict()}))

@@ -52,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(name: str, arguments: Sequence[str]) -> int:
     import hydra
 
-    from toile.cli.configuration import CONF, name_scenes, register_resolvers
+    from toile.cli.configuration import CONF, flags_first, name_scenes, register_resolvers
     from toile.cli.failures import FULL_ERROR_VARIABLE, CommandError
 
     register_resolvers()
@@ -66,7 +66,8 @@ def _run(name: str, arguments: Sequence[str]) -> int:
             return _report(error, full)
     task = _reporting(importlib.import_module(COMMANDS[name].module).run, full)
     application = hydra.main(version_base="1.3", config_path=str(CONF), config_name=name)(task)
-    with _hydra_leaves_errors_to_us(FULL_ERROR_VARIABLE), _argv([f"toile {name}", *name_scenes(arguments)]):
+    argv = [f"toile {name}", *flags_first(name_scenes(arguments))]
+    with _hydra_leaves_errors_to_us(FULL_ERROR_VARIABLE), _argv(argv):
         try:
             application()
         except CommandError as failed:

@@ -39,7 +39,8 @@ def print_evaluation(result: EvaluationResult) -> None:
     out = console()
     out.print(table)
     for metric in result.metrics.values():
-        out.print(Text(f"{metric.title}: {metric.protocol}", style="dim"))
+        named = metric.protocol.lower().startswith(metric.title.lower())
+        out.print(Text(metric.protocol if named else f"{metric.title}: {metric.protocol}", style="dim"))
     for key, reason in result.skipped.items():
         out.print(Text(f"{key}: not measured, {reason}", style="dim"))
 

@@ -1,0 +1,30 @@
+"""``toile generate``: a synthetic scene with known truth, in the native layout."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from omegaconf import DictConfig
+
+from toile.cli.configuration import instantiate
+from toile.cli.terminal import print_path
+from toile.errors import InputError
+from toile.generation.generator import generate
+from toile.generation.truth import write
+from toile.scenes.registry import load_template
+
+
+def run(cfg: DictConfig) -> None:
+    """Simulate, render, write the folder and print its path."""
+    folder = Path(cfg.folder)
+    if folder.exists() and not cfg.overwrite:
+        # Said before minutes of simulation, not after.
+        raise InputError(
+            "Scene folder exists already",
+            where=str(folder),
+            expected="a folder that does not exist, another folder=..., or overwrite=true",
+            got="an existing file or folder",
+        )
+    template = None if cfg.template is None else load_template(str(cfg.template), cfg.paths.data)
+    scene, truth = generate(instantiate(cfg.settings), instantiate(cfg.texture), template)
+    print_path(write(scene, truth, folder, overwrite=cfg.overwrite))
