@@ -13,7 +13,13 @@ from lightning.pytorch.trainer.states import TrainerStatus
 from omegaconf import DictConfig
 
 from toile.cli.configuration import instantiate, output_folder, resolved_yaml
-from toile.cli.fit_results import final_trajectory, write_motion, write_numbers, write_pictures
+from toile.cli.fit_results import (
+    final_trajectory,
+    residual_force,
+    write_motion,
+    write_numbers,
+    write_pictures,
+)
 from toile.cli.resume import last_checkpoint
 from toile.cli.terminal import print_evaluation, print_path
 from toile.errors import InputError
@@ -47,7 +53,13 @@ def run(cfg: DictConfig) -> None:
         print_path(folder.path, f": stopped after {module.cycles_done} of {module.n_cycles} cycles")
         print_path(f"toile fit resume={folder.path}", " continues")
         raise KeyboardInterrupt
-    evaluation = evaluate(trajectory, scene, module.reconstruction.renderer, seed=cfg.seed)
+    evaluation = evaluate(
+        trajectory,
+        scene,
+        module.reconstruction.renderer,
+        seed=cfg.seed,
+        out_of_balance=residual_force(module.reconstruction, trajectory),
+    )
     write_numbers(folder, module, trajectory, evaluation, time.perf_counter() - started)
     write_pictures(folder, module, trajectory, evaluation, cfg.report)
     print_evaluation(evaluation)

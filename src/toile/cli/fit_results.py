@@ -13,7 +13,11 @@ import torch
 from torch import Tensor
 
 from toile.cli.machine import machine
+from toile.cloth.energies.bending import bending_energy
+from toile.cloth.energies.shearing import shearing_energy
+from toile.cloth.energies.stretching import stretching_energy
 from toile.evaluation.evaluate import EvaluationResult
+from toile.evaluation.out_of_balance import OutOfBalanceForce, out_of_balance_force
 from toile.fitting.module import FitModule
 from toile.fitting.reconstruction import Reconstruction
 from toile.reports.figures import (
@@ -41,6 +45,38 @@ def final_trajectory(reconstruction: Reconstruction) -> Tensor:
     """
     scene = reconstruction.scene
     return reconstruction.simulate(scene.n_frames).positions[0].reshape(scene.n_frames, *scene.grid, 3)
+
+
+@torch.no_grad()
+def residual_force(reconstruction: Reconstruction, trajectory: Tensor) -> OutOfBalanceForce | None:
+    """Out-of-balance force of the trajectory under the fitted forces; None for fewer than three frames."""
+    scene, cloth = reconstruction.scene, reconstruction.cloth
+    if scene.n_frames < 3 or not bool(scene.gravity.any()):
+        return None
+    p = reconstruction.parameters
+    material, s = p.material(), cloth.stencils
+
+    def internal_forces(positions: Tensor) -> Tensor:
+        with torch.enable_grad():
+            x = positions.reshape(len(positions), -1, 3).clone().requires_grad_()
+            energy = (
+                stretching_energy(x, s.edges, cloth.rest_lengths, material.stretching[..., None])
+                + shearing_energy(x, s.corners, cloth.rest_corner_angles, material.shearing[..., None])
+                + bending_energy(x, s.straights, material.bending[..., None])
+            )
+            return -torch.autograd.grad(energy.sum(), x)[0].reshape(positions.shape)
+
+    # Forces entry t acts on frame t + 1; the inner frames are 1 ... F - 2.
+    forces = p.forces(cloth.masses, reconstruction.gravity, 0, scene.n_frames - 2)
+    return out_of_balance_force(
+        trajectory,
+        masses=cloth.masses.reshape(scene.grid),
+        internal_forces=internal_forces,
+        external_forces=forces.reshape(-1, *scene.grid, 3),
+        frame_time=1 / scene.fps,
+        gravity=scene.gravity,
+        held_vertices=scene.held_vertices,
+    )
 
 
 def fitted_parameters(reconstruction: Reconstruction) -> dict[str, npt.ArrayLike]:

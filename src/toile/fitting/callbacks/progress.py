@@ -12,7 +12,6 @@ from rich.progress import (
     MofNCompleteColumn,
     Progress,
     TextColumn,
-    TimeElapsedColumn,
     TimeRemainingColumn,
 )
 
@@ -42,9 +41,8 @@ class FitProgress(Callback):
         if self._console.is_terminal:
             self._bar = Progress(
                 TextColumn("fit"),
-                BarColumn(),
+                BarColumn(bar_width=12),
                 MofNCompleteColumn(),
-                TimeElapsedColumn(),
                 TimeRemainingColumn(),
                 TextColumn("{task.fields[state]}"),
                 console=self._console,
@@ -88,6 +86,4 @@ def _state(module: FitModule) -> str:
         f"{symbol} {last[f'{name} [network units]']:.4g}"
         for symbol, name in zip("YSB", ClothParameters.STIFFNESSES, strict=True)
     )
-    return (
-        f"loss {last['loss']:.4g}, {last['frames']:.0f} of {n} frames, {stiffness}, {last['seconds']:.1f} s"
-    )
+    return f"loss {last['loss']:.4g}, {last['frames']:.0f} of {n} frames, {stiffness}"
