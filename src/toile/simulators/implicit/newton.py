@@ -39,6 +39,9 @@ _PROJECTED_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 _INERTIA_GROWTH = 4.0
 _MAX_LEVEL = len(_PROJECTED_SHARES) + 20
 
+# Rounding errors of x - x̂, as a multiple of the largest coordinate.
+_ROUNDING = 4 * float(np.finfo(np.float64).eps)
+
 # A factor is used again as long as the largest residual shrinks at least to this fraction.
 _REUSE_RATIO = 0.5
 
@@ -49,7 +52,7 @@ class NewtonSettings:
 
     Attributes:
         tolerance: largest out-of-balance force on a vertex as a fraction of an interior vertex's weight at
-            1 g; the equation is solved to this accuracy.
+            1 g; the equation is solved to this accuracy, or to rounding where that is coarser.
         max_iterations: Newton iterations, each with a new Hessian, before the step is given up.
         max_halvings: step halvings of the back-tracking line search.
     """
@@ -118,7 +121,9 @@ def minimise_incremental_potential(
         linearize: also return the derivatives at the solution.
     """
     free = assembly.free
-    threshold = settings.tolerance * force_scale
+    # No force is known better than the rounding of the inertial one; a tolerance below is out of reach.
+    attainable = _ROUNDING * float(inertia.max(initial=0.0)) * float(np.abs(prediction).max(initial=0.0))
+    threshold = max(settings.tolerance * force_scale, attainable)
 
     def residual_of(unit_gradients: Array, at: Array) -> Array:
         internal = np.tensordot(stiffness, unit_gradients, 1)
