@@ -89,7 +89,7 @@ def test_kernels_compute_the_pure_energies(kind, shuffled, weighted, held):
 
     exact = torch.autograd.functional.jacobian(terms, x).numpy()
     scale = np.abs(exact).max((1, 2), keepdims=True) + 1e-12
-    # worst seen 2e-12 (bending, nearly flat)
+    # worst seen 4e-14
     assert (np.abs(assembly.gradients(x.numpy()) - exact) / scale).max() <= 1e-10
 
     full = hessian(lambda y: (torch.from_numpy(STIFFNESS) * terms(y)).sum(), x).reshape(90, 90).numpy()
@@ -99,8 +99,8 @@ def test_kernels_compute_the_pure_energies(kind, shuffled, weighted, held):
     free[assembly.held] = False
     dofs = np.repeat(free, 3)
     got = dense(assembly, band)
-    # worst seen 1e-9 of the largest entry (bending, nearly flat: series of the angle)
-    tolerance = 1e-8 * np.abs(full).max()
+    # worst seen 9e-16 of the largest entry
+    tolerance = 1e-12 * np.abs(full).max()
     np.testing.assert_allclose(got[np.ix_(dofs, dofs)], full[np.ix_(dofs, dofs)], rtol=0, atol=tolerance)
     assert not got[~dofs].any()
     rows = (3 * assembly.held[:, None] + np.arange(3)).reshape(-1)
@@ -117,7 +117,7 @@ def test_hessian_of_each_energy_alone(term):
         full = hessian(lambda y: terms(y)[term], x).reshape(90, 90).numpy()
         _, band, _ = assembly.hessian(x.numpy(), np.eye(3)[term], convex=False)
         error = np.abs(dense(assembly, band) - full).max() / np.abs(full).max()
-        assert error <= 1e-7, (kind, error)  # worst seen 6e-9
+        assert error <= 1e-11, (kind, error)  # worst seen 2e-13
 
 
 @pytest.mark.parametrize("kind", ["crumpled", "nearly flat"])
