@@ -8,7 +8,7 @@ from torch import Tensor
 
 from toile.cloth.cloth import Cloth, grid_cloth, template_rest_lengths, uniform_rest_lengths
 from toile.cloth.stencils import grid_stencils
-from toile.cloth.units import NetworkUnits
+from toile.cloth.units import PAPER_TIME_STEP, NetworkUnits
 from toile.scenes.scene import Scene
 
 RestLengths = Callable[[Scene], Tensor]
@@ -37,7 +37,7 @@ def scene_cloth(scene: Scene, areal_density: float, rest_lengths: RestLengths) -
 
 
 def scene_units(scene: Scene, areal_density: float) -> NetworkUnits:
-    """Network units of the scene's grid with one step per frame; of the mean spacing where the two differ."""
+    """Network units of the scene's grid at the paper's time step; of the mean spacing where the two differ."""
     H, W = scene.grid
     cell = scene.cloth_size[0] * scene.cloth_size[1] / ((H - 1) * (W - 1))
-    return NetworkUnits(areal_density * cell, cell**0.5, 1 / scene.fps)
+    return NetworkUnits(areal_density * cell, cell**0.5, PAPER_TIME_STEP)

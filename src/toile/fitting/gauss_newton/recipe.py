@@ -85,6 +85,8 @@ class Stage:
         iterations: Gauss-Newton iterations per window.
         cg_iterations, cg_tolerance: of the linear solver.
         visibility: leave out points that the cloth itself hides.
+        settle: at the end, set stiffness and wind to their means over the second half of the windows; for
+            stages in which they walk.
     """
 
     windows: Windows
@@ -94,6 +96,7 @@ class Stage:
     cg_iterations: int
     cg_tolerance: float
     visibility: bool
+    settle: bool
 
 
 class TrackingRecipe(Recipe):
@@ -108,6 +111,7 @@ class TrackingRecipe(Recipe):
         self._plan: list[tuple[Stage, int, int]] = []
         self._positions: Array | None = None
         self._covered = 0
+        self._walk: list[Array] = []
         self._start_stiffness = np.zeros(3)
         self._stage: Stage | None = None
         self._term: TexturePointTerm | None = None
@@ -122,8 +126,10 @@ class TrackingRecipe(Recipe):
         self._plan = [(stage, a, b) for stage in self.stages for a, b in stage.windows.plan(n)]
         self._positions = None
         self._covered = 0
+        self._walk = []
         self._stage = self._term = None
         p = reconstruction.parameters
+        self._relative_mass = (reconstruction.cloth.masses / p.units.mass)[:, None]
         self._start_stiffness = np.array([p.get_parameter(k).item() for k in ClothParameters.STIFFNESSES])
 
     def cycle(self, reconstruction: Reconstruction, index: int) -> CycleReport:
@@ -157,6 +163,8 @@ class TrackingRecipe(Recipe):
         after = [] if self._positions is None else [self._positions[last * substeps + 1 :]]
         self._positions = np.concatenate([*before, result.positions, *after])
         self._covered = max(self._covered, last)
+        if stage.settle:
+            self._settle(reconstruction.parameters, last_window=self._is_last_of_stage(index))
         losses = {
             "objective": result.objective,
             "colour": float(result.colour.mean()),
@@ -173,6 +181,7 @@ class TrackingRecipe(Recipe):
         return {
             "positions": None if self._positions is None else torch.from_numpy(self._positions.copy()),
             "covered": self._covered,
+            "walk": torch.from_numpy(np.array(self._walk).reshape(-1, 6)),
             "start_stiffness": torch.from_numpy(self._start_stiffness.copy()),
         }
 
@@ -181,6 +190,7 @@ class TrackingRecipe(Recipe):
         positions = state["positions"]
         self._positions = None if positions is None else positions.numpy().copy()
         self._covered = int(state["covered"])
+        self._walk = list(state["walk"].numpy().copy())
         self._start_stiffness = state["start_stiffness"].numpy().copy()
 
     def _enter(self, stage: Stage, reconstruction: Reconstruction) -> None:
@@ -193,6 +203,24 @@ class TrackingRecipe(Recipe):
             features, scene.camera, points, reconstruction.template.numpy(), settings
         )
         self._stage = stage
+
+    def _is_last_of_stage(self, index: int) -> bool:
+        return index + 1 == len(self._plan) or self._plan[index + 1][0] is not self._plan[index][0]
+
+    def _settle(self, p: ClothParameters, *, last_window: bool) -> None:
+        """Note stiffness and wind of this window; after the last one, return to their mean."""
+        stiffness = [p.get_parameter(name).item() for name in ClothParameters.STIFFNESSES]
+        self._walk.append(np.concatenate((np.log(stiffness), p.wind.detach().numpy())))
+        if not last_window:
+            return
+        mean = np.mean(self._walk[len(self._walk) // 2 :], axis=0)
+        self._walk = []
+        with torch.no_grad():
+            for name, value in zip(ClothParameters.STIFFNESSES, np.exp(mean[:3]), strict=True):
+                p.get_parameter(name).fill_(float(value))
+            masses = self._relative_mass
+            p.turbulence.add_(masses * (p.wind - torch.from_numpy(mean[3:])))
+            p.wind.copy_(torch.from_numpy(mean[3:]))
 
     def _extend(self, p: ClothParameters, last: int) -> None:
         """Start new frames from the forces and anchors of the last known ones."""

@@ -28,7 +28,9 @@ class Priors:
         anchor_motion: of the held vertices' displacement [m].
         anchor_motion_time: frames over which that is correlated.
         stiffness: of the logarithm of Y, S and B around their start values.
-        wind: of each horizontal component of the constant wind [m/s²].
+        wind: of each horizontal component of the constant wind around zero [m/s²].
+        walk: learn stiffness and wind on the way: their deviations are then those of the change within one
+            window, around the values that the window before has left.
     """
 
     turbulence: float | None
@@ -38,6 +40,7 @@ class Priors:
     anchor_motion_time: float
     stiffness: float | None
     wind: float | None
+    walk: bool
 
 
 class WindowUnknowns:
@@ -46,7 +49,7 @@ class WindowUnknowns:
     Args:
         reconstruction: holds the current parameters.
         priors: see Priors.
-        start_stiffness: (3,) mean of Y, S, B in network units.
+        start_stiffness: (3,) Y, S, B in network units at the start of the fit.
         first, last: frames; motion up to ``first`` is fixed unless it is frame 0.
     """
 
@@ -55,7 +58,6 @@ class WindowUnknowns:
     ) -> None:
         self.reconstruction = reconstruction
         self.priors = priors
-        self.start_stiffness = start_stiffness
         self.first, self.last = first, last
         self.n = last - first
         self.grid = reconstruction.scene.grid
@@ -83,6 +85,8 @@ class WindowUnknowns:
         if first > 0:
             self._anchor_free[0] = 0.0
         self._read(reconstruction.parameters)
+        self._mean_stiffness = self._stiffness if priors.walk else start_stiffness
+        self._mean_wind = self._wind if priors.walk else np.zeros(3)
 
     def _read(self, p: ClothParameters) -> None:
         self._turbulence = p.turbulence.detach().numpy()[self.first : self.last] / self._relative_mass
@@ -98,9 +102,9 @@ class WindowUnknowns:
         if self._series is not None:
             z["anchor_motion"] = self._series.whiten(self._anchors)
         if self.priors.stiffness is not None:
-            z["stiffness"] = np.log(self._stiffness / self.start_stiffness) / self.priors.stiffness
+            z["stiffness"] = np.log(self._stiffness / self._mean_stiffness) / self.priors.stiffness
         if self.priors.wind is not None:
-            z["wind"] = self._horizontal @ self._wind / self.priors.wind
+            z["wind"] = self._horizontal @ (self._wind - self._mean_wind) / self.priors.wind
         return z
 
     def turbulence(self, z: Vector) -> Array:
@@ -120,13 +124,13 @@ class WindowUnknowns:
         """Y, S, B in network units."""
         if self.priors.stiffness is None:
             return self._stiffness
-        return self.start_stiffness * np.exp(self.priors.stiffness * z["stiffness"])
+        return self._mean_stiffness * np.exp(self.priors.stiffness * z["stiffness"])
 
     def wind(self, z: Vector) -> Array:
         """Constant wind (3,) [m/s²], orthogonal to gravity where it is free."""
         if self.priors.wind is None:
             return self._wind
-        return self.priors.wind * z["wind"] @ self._horizontal
+        return self._mean_wind + self.priors.wind * z["wind"] @ self._horizontal
 
     def forces(self, z: Vector) -> Array:
         """External forces (n, N, 3) [N]."""
@@ -178,6 +182,9 @@ class WindowUnknowns:
             p.anchor_motion[self.first : self.last + 1] = torch.from_numpy(self.anchor_motion(z))
             for name, value in zip(ClothParameters.STIFFNESSES, self.stiffness(z), strict=True):
                 p.get_parameter(name).fill_(float(value))
+            # The frames before the window keep the forces that have brought the cloth to where it starts.
+            drift = torch.from_numpy(self._relative_mass * (self._wind - self.wind(z)))
+            p.turbulence[: self.first] += drift
             p.wind.copy_(torch.from_numpy(self.wind(z)))
 
 

@@ -74,7 +74,7 @@ def state_at(reconstruction: Reconstruction, substep_positions: Array | None, fr
     )
     # Velocities follow from the past positions; the implicit simulator reads only those.
     velocity = (past[0] - past[1]) / simulator.time_step
-    return State(past[0][None], velocity[None], past[None, 1:])
+    return State(past[0][None], velocity[None], past[None, 1:], steps=index)
 
 
 @torch.no_grad()
