@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from toile.fitting.adam.recipe import SuccessiveFramesAdam
+from toile.fitting.module import FitModule
 from toile.reports.run_folder import RunFolder, read_history, read_metrics, read_trajectory
 from toile.scenes.native import write_native
 from toile.scenes.scene import Scene
@@ -47,14 +47,14 @@ def identical(a: RunFolder, b: RunFolder) -> bool:
 
 def interrupt_at(n: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Ctrl-C in cycle n."""
-    cycle = SuccessiveFramesAdam.cycle
+    step = FitModule.training_step
 
-    def interrupted(self: SuccessiveFramesAdam, reconstruction: Any, index: int) -> Any:
-        if index == n:
+    def interrupted(self: FitModule, batch: int, batch_idx: int) -> None:
+        if self.cycles_done == n:
             raise KeyboardInterrupt
-        return cycle(self, reconstruction, index)
+        step(self, batch, batch_idx)
 
-    monkeypatch.setattr(SuccessiveFramesAdam, "cycle", interrupted)
+    monkeypatch.setattr(FitModule, "training_step", interrupted)
 
 
 @pytest.mark.usefixtures("swaying")
@@ -131,6 +131,19 @@ def test_an_interrupted_fit_leaves_a_usable_folder_and_continues(
     assert "continuing from" in outcome.err
     assert len(read_history(run)) == 6
     assert identical(run, RunFolder(tmp_path / "whole"))
+
+
+@pytest.mark.usefixtures("swaying")
+def test_the_default_optimisation_continues_bit_for_bit(
+    toile: Toile, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    command = ("fit", "scene=swaying", *QUICK)
+    assert toile(*command, "hydra.run.dir=whole").status == 0
+    with monkeypatch.context() as patch:
+        interrupt_at(2, patch)
+        assert toile(*command, "hydra.run.dir=run").status == 130
+    assert toile("fit", "resume=run").status == 0
+    assert identical(RunFolder(tmp_path / "run"), RunFolder(tmp_path / "whole"))
 
 
 @pytest.mark.usefixtures("swaying")
