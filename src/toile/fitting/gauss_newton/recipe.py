@@ -1,8 +1,8 @@
 """Tracking by Gauss-Newton in sliding windows: the default recipe.
 
 The external forces of the last few frames are found together, each window starting from the state that the
-previous one has reached. What comes out is one simulation from frame 0 to the end under the forces found, with
-no break between windows.
+previous one has reached. What comes out is one simulation from frame 0 to the end under the forces found,
+with no break between windows.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from toile.fitting.recipe import CycleReport, Recipe
 from toile.fitting.reconstruction import Reconstruction
 from toile.fitting.terms.image_features import contrast_features
 from toile.fitting.terms.texture_points import PointTermSettings, TexturePoints, TexturePointTerm, grid_points
+from toile.fitting.terms.tracked_positions import PositionTermSettings, TrackedPositionTerm
 from toile.rendering.visibility import visible_points
 
 Array = NDArray[np.float64]
@@ -80,23 +82,25 @@ class Stage:
 
     Attributes:
         windows: see Windows.
-        term: image term of the pass.
+        term: what the motion is compared with: images, or the positions tracked by the stages before.
         priors: what is free and how much.
         iterations: Gauss-Newton iterations per window.
         cg_iterations, cg_tolerance: of the linear solver.
         visibility: leave out points that the cloth itself hides.
         settle: at the end, set stiffness and wind to their means over the second half of the windows; for
             stages in which they walk.
+        discard_turbulence: begin with none.
     """
 
     windows: Windows
-    term: PointTermSettings
+    term: PointTermSettings | PositionTermSettings
     priors: Priors
     iterations: int
     cg_iterations: int
     cg_tolerance: float
     visibility: bool
     settle: bool
+    discard_turbulence: bool
 
 
 class TrackingRecipe(Recipe):
@@ -112,9 +116,10 @@ class TrackingRecipe(Recipe):
         self._positions: Array | None = None
         self._covered = 0
         self._walk: list[Array] = []
+        self._tracked: Array | None = None
         self._start_stiffness = np.zeros(3)
         self._stage: Stage | None = None
-        self._term: TexturePointTerm | None = None
+        self._term: TexturePointTerm | TrackedPositionTerm | None = None
 
     def n_cycles(self, reconstruction: Reconstruction) -> int:
         """See Recipe."""
@@ -127,6 +132,7 @@ class TrackingRecipe(Recipe):
         self._positions = None
         self._covered = 0
         self._walk = []
+        self._tracked = None
         self._stage = self._term = None
         p = reconstruction.parameters
         self._relative_mass = (reconstruction.cloth.masses / p.units.mass)[:, None]
@@ -135,6 +141,8 @@ class TrackingRecipe(Recipe):
     def cycle(self, reconstruction: Reconstruction, index: int) -> CycleReport:
         """See Recipe."""
         stage, first, last = self._plan[index]
+        if index > 0 and self._plan[index - 1][0] is not stage:
+            self._leave(reconstruction, stage)
         self._enter(stage, reconstruction)
         assert self._term is not None
         if last > self._covered:
@@ -144,12 +152,16 @@ class TrackingRecipe(Recipe):
         if self._positions is not None and len(self._positions) > first * substeps + 1:
             warm = self._positions[first * substeps : last * substeps + 1]
         unknowns = WindowUnknowns(reconstruction, stage.priors, self._start_stiffness, first, last)
-        points = self._term.points
+        visibility = None
+        if stage.visibility and isinstance(self._term, TexturePointTerm):
+            visibility = partial(_visible, reconstruction, self._term.points)
         result = minimise_window(
             reconstruction,
             unknowns,
             self._term,
-            (lambda x: _visible(reconstruction, points, x)) if stage.visibility else None,
+            (lambda x: _visible(reconstruction, points, x))
+            if stage.visibility and points is not None
+            else None,
             state_at(reconstruction, self._positions, first),
             warm,
             iterations=stage.iterations,
@@ -181,6 +193,7 @@ class TrackingRecipe(Recipe):
         return {
             "positions": None if self._positions is None else torch.from_numpy(self._positions.copy()),
             "covered": self._covered,
+            "tracked": None if self._tracked is None else torch.from_numpy(self._tracked.copy()),
             "walk": torch.from_numpy(np.array(self._walk).reshape(-1, 6)),
             "start_stiffness": torch.from_numpy(self._start_stiffness.copy()),
         }
@@ -190,13 +203,30 @@ class TrackingRecipe(Recipe):
         positions = state["positions"]
         self._positions = None if positions is None else positions.numpy().copy()
         self._covered = int(state["covered"])
+        tracked = state["tracked"]
+        self._tracked = None if tracked is None else tracked.numpy().copy()
         self._walk = list(state["walk"].numpy().copy())
         self._start_stiffness = state["start_stiffness"].numpy().copy()
+
+    def _leave(self, reconstruction: Reconstruction, following: Stage) -> None:
+        """Keep what the stage before has tracked, and prepare the parameters for the one that follows."""
+        assert self._positions is not None
+        if isinstance(following.term, PositionTermSettings) and self._tracked is None:
+            self._tracked = self._positions[:: reconstruction.substeps].copy()
+        if following.discard_turbulence:
+            with torch.no_grad():
+                reconstruction.parameters.turbulence.zero_()
 
     def _enter(self, stage: Stage, reconstruction: Reconstruction) -> None:
         if stage is self._stage:
             return
         scene, settings = reconstruction.scene, stage.term
+        self._stage = stage
+        if isinstance(settings, PositionTermSettings):
+            if self._tracked is None:
+                raise ValueError("a stage that fits tracked positions needs a stage that tracks before it")
+            self._term = TrackedPositionTerm(self._tracked, settings)
+            return
         features = contrast_features(scene.frames, scene.masks, settings.blur, settings.neighbourhood)
         points = grid_points(scene.grid, settings.per_side)
         self._term = TexturePointTerm(

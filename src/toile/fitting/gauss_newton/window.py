@@ -2,8 +2,8 @@
 
     J(z) = ½ |z|² + image term(x(z)),    (I + Jᵀ A J) s = -(z + Jᵀ g)
 
-z are the white unknowns, x(z) the simulated motion, A and g the image term's Gauss-Newton matrix and gradient,
-J the Jacobian of the motion. J is never formed: conjugate gradients need one tangent and one adjoint rollout
+z are the white unknowns, x(z) the simulated motion, A and g the image term's Gauss-Newton matrix and
+gradient, J the Jacobian of the motion. J is never formed: conjugate gradients need one tangent and one adjoint rollout
 per iteration, both from the factorisations that the simulation has left behind.
 """
 
@@ -24,6 +24,7 @@ from toile.fitting.gauss_newton.conjugate_gradients import Vector, axpy, dot
 from toile.fitting.gauss_newton.unknowns import WindowUnknowns
 from toile.fitting.reconstruction import Reconstruction
 from toile.fitting.terms.texture_points import PointTermValue, TexturePointTerm
+from toile.fitting.terms.tracked_positions import TrackedPositionTerm
 from toile.simulators.base import StepStatus
 from toile.simulators.implicit.linearized import LinearizedRollout
 from toile.simulators.implicit.simulator import ImplicitSimulator
@@ -81,7 +82,7 @@ def state_at(reconstruction: Reconstruction, substep_positions: Array | None, fr
 def minimise_window(
     reconstruction: Reconstruction,
     unknowns: WindowUnknowns,
-    term: TexturePointTerm,
+    term: TexturePointTerm | TrackedPositionTerm,
     visibility: Callable[[Array], NDArray[np.float32]] | None,
     start: State,
     warm_start: Array | None,
@@ -95,12 +96,13 @@ def minimise_window(
     Args:
         reconstruction: see Reconstruction; its simulator must be the implicit one.
         unknowns: free parameters of the window.
-        term: image term.
+        term: what the motion is compared with.
         visibility: frame positions (n, N, 3) -> visible points (n, P), or None if all are.
         start: state at the window's first frame.
         warm_start: sub-step positions of an earlier simulation of the window.
         iterations: Gauss-Newton iterations at most.
-        cg_iterations, cg_tolerance: of the linear solver.
+        cg_iterations: iterations of the linear solver at most.
+        cg_tolerance: its residual relative to the gradient.
     """
     simulator = reconstruction.simulator
     if not isinstance(simulator, ImplicitSimulator):
