@@ -159,9 +159,7 @@ class TrackingRecipe(Recipe):
             reconstruction,
             unknowns,
             self._term,
-            (lambda x: _visible(reconstruction, points, x))
-            if stage.visibility and points is not None
-            else None,
+            visibility,
             state_at(reconstruction, self._positions, first),
             warm,
             iterations=stage.iterations,

@@ -1,13 +1,15 @@
 """Warp kernels of the texture-point term."""
 
 # Kernels are Python in syntax only: arrays and numbers follow Warp's own typing rules.
-# mypy: disable-error-code="arg-type, assignment, call-overload, index, misc, no-untyped-def, operator, valid-type"
+# mypy: disable-error-code="arg-type, assignment, call-overload, index, misc, no-untyped-def"
+# mypy: disable-error-code="operator, valid-type"
 
 import warp as wp
 
 
 @wp.func
 def texel(features: wp.array(dtype=wp.vec4, ndim=3), frame: wp.int32, row: wp.int32, column: wp.int32):
+    """Features of a pixel, clamped to the image."""
     r = wp.clamp(row, 0, features.shape[1] - 1)
     c = wp.clamp(column, 0, features.shape[2] - 1)
     return features[frame, r, c]
@@ -15,6 +17,7 @@ def texel(features: wp.array(dtype=wp.vec4, ndim=3), frame: wp.int32, row: wp.in
 
 @wp.func
 def bilinear(features: wp.array(dtype=wp.vec4, ndim=3), frame: wp.int32, x: wp.float32, y: wp.float32):
+    """Features at continuous pixel coordinates."""
     column = wp.int32(wp.floor(x - 0.5))
     row = wp.int32(wp.floor(y - 0.5))
     fx = x - 0.5 - wp.float32(column)
@@ -33,6 +36,7 @@ def sample_features(
     pixels: wp.array(dtype=wp.vec2),
     out: wp.array(dtype=wp.vec4),
 ):
+    """Features of the first frame at given pixels."""
     p = wp.tid()
     out[p] = bilinear(features, 0, pixels[p][0], pixels[p][1])
 
@@ -59,6 +63,7 @@ def point_term(
     gradient: wp.array(dtype=wp.vec3d, ndim=2),
     matrix: wp.array(dtype=wp.mat33d, ndim=2),
 ):
+    """Cost per frame, gradient per vertex and Gauss-Newton matrix per point, see TexturePointTerm."""
     f, p = wp.tid()
     seen = wp.float64(visible[f, p])
     point = wp.vec3d()
@@ -133,6 +138,7 @@ def apply_matrices(
     matrix: wp.array(dtype=wp.mat33d, ndim=2),
     out: wp.array(dtype=wp.vec3d, ndim=2),
 ):
+    """Sum over points of (weights ⊗ matrix ⊗ weights) times a change of the vertices."""
     f, p = wp.tid()
     moved = wp.vec3d()
     for c in range(4):

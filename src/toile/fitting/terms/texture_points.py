@@ -1,4 +1,4 @@
-"""Image term on a dense set of template points: what a point looked like in frame 0, it should look like later.
+"""Image term on a dense set of template points: each should look as it did in frame 0.
 
 A point's position is a fixed mix of four vertices, its projection samples the features of the frame, and the
 difference to its features in the first frame is a robust residual. The last feature channel is the blurred
