@@ -37,7 +37,7 @@ def scene_cloth(scene: Scene, areal_density: float, rest_lengths: RestLengths) -
 
 
 def scene_units(scene: Scene, areal_density: float) -> NetworkUnits:
-    """Network units of the scene's grid at the paper's time step; of the mean spacing where the two differ."""
+    """Network units of the grid at the paper's time step; of the mean spacing where the sides' differ."""
     H, W = scene.grid
     cell = scene.cloth_size[0] * scene.cloth_size[1] / ((H - 1) * (W - 1))
     return NetworkUnits(areal_density * cell, cell**0.5, PAPER_TIME_STEP)

@@ -36,7 +36,7 @@ class SuccessiveFramesAdam(Recipe):
     | stretching, shearing, bending | network units | 50, 0.1, 0.01 |
     | wind | magnitude of gravity | 0.05 |
     | turbulence | network units of force, m L / Δt² | 0.001 |
-    | anchor_motion | grid spacings per frame, the network unit of velocity | 0.001 |
+    | anchor_motion | grid spacings per frame | 0.001 |
     | texture_offset | texture coordinates | 0.0002 |
 
     The paper moves the held vertices by the turbulence stored at them, read as their velocity. Here they have

@@ -17,7 +17,7 @@ class ForceRegularization:
     """R_T = α Σ |T|² + β Σ |T_{t+1} - T_t|² + γ Σ (|T^{(i+1)j} - T^{ij}|² + |T^{i(j+1)} - T^{ij}|²).
 
     T is in network units of force: a force per interior vertex mass f [m/s²] has T = f Δt² / L, with Δt the
-    frame interval and L the grid spacing.
+    time step of the network units and L the grid spacing.
 
     Two conventions are around, and they differ by a factor of about the number of vertices and frames: the
     paper prints sums, its published code takes means. ``reduction`` says which; "mean" divides each of the
