@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import signal
 import time
 from pathlib import Path
@@ -91,8 +92,21 @@ def build_reconstruction(cfg: DictConfig, scene: Scene) -> Reconstruction:
     )
     make_simulator = instantiate(cfg.simulator.build)
     return Reconstruction(
-        scene, cloth, make_simulator, cfg.simulator.substeps, parameters, instantiate(cfg.renderer)
+        scene,
+        cloth,
+        make_simulator,
+        substeps_per_frame(cfg.simulator, scene.fps),
+        parameters,
+        instantiate(cfg.renderer),
     )
+
+
+def substeps_per_frame(simulator: DictConfig, fps: float) -> int:
+    """The number asked for, or as few as keep a sub-step within ``longest_substep``."""
+    if simulator.substeps is not None:
+        return int(simulator.substeps)
+    # Rounding must not turn 0.02 s / 0.01 s into three sub-steps.
+    return max(1, math.ceil(1 / fps / simulator.longest_substep - 1e-9))
 
 
 def optimise(cfg: DictConfig, module: FitModule, checkpoint: Path | None) -> bool:

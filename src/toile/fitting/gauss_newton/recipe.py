@@ -115,6 +115,7 @@ class TrackingRecipe(Recipe):
         self._plan: list[tuple[Stage, int, int]] = []
         self._positions: Array | None = None
         self._covered = 0
+        self._seed = 0
         self._walk: list[Array] = []
         self._tracked: Array | None = None
         self._start_stiffness = np.zeros(3)
@@ -127,6 +128,7 @@ class TrackingRecipe(Recipe):
 
     def start(self, reconstruction: Reconstruction) -> None:
         """See Recipe."""
+        self._seed = int(torch.randint(2**31, ()))
         n = reconstruction.scene.n_frames
         self._plan = [(stage, a, b) for stage in self.stages for a, b in stage.windows.plan(n)]
         self._positions = None
@@ -226,7 +228,7 @@ class TrackingRecipe(Recipe):
             self._term = TrackedPositionTerm(self._tracked, settings)
             return
         features = contrast_features(scene.frames, scene.masks, settings.blur, settings.neighbourhood)
-        points = grid_points(scene.grid, settings.per_side)
+        points = grid_points(scene.grid, settings.per_side, _JITTER, self._seed)
         self._term = TexturePointTerm(
             features, scene.camera, points, reconstruction.template.numpy(), settings
         )
@@ -259,6 +261,9 @@ class TrackingRecipe(Recipe):
             p.turbulence[known:last] = p.turbulence[known - 1]
             p.anchor_motion[known + 1 : last + 1] = p.anchor_motion[known]
 
+
+# Points of the image term lie anywhere in their lattice cell.
+_JITTER = 1.0
 
 # Two surfaces closer than this are one: bilinear points leave the triangles by about this much [m].
 _VISIBILITY_TOLERANCE = 4e-3

@@ -62,11 +62,23 @@ class TexturePoints:
         return (2 * quad + np.where(upper, 0, 1)).astype(np.int64), barycentrics
 
 
-def grid_points(grid: tuple[int, int], per_side: int) -> TexturePoints:
-    """A per_side × per_side lattice of points on an H×W vertex grid, borders included."""
+def grid_points(grid: tuple[int, int], per_side: int, jitter: float, seed: int) -> TexturePoints:
+    """A per_side × per_side lattice of points on an H×W vertex grid, borders included.
+
+    Args:
+        grid: (H, W).
+        per_side: points along each side.
+        jitter: inner points move at random by up to this fraction of half a lattice cell, so that the lattice
+            has no fixed phase against the weave of the texture; border points stay on their border.
+        seed: of the jitter.
+    """
     height, width = grid
-    a = np.repeat(np.linspace(0, height - 1, per_side), per_side)
-    b = np.tile(np.linspace(0, width - 1, per_side), per_side)
+    a = np.repeat(np.arange(per_side, dtype=np.float64), per_side)
+    b = np.tile(np.arange(per_side, dtype=np.float64), per_side)
+    move = jitter * (np.random.default_rng(seed).random((2, per_side**2)) - 0.5)
+    last = per_side - 1
+    a = np.where((a > 0) & (a < last), a + move[0], a) * ((height - 1) / last)
+    b = np.where((b > 0) & (b < last), b + move[1], b) * ((width - 1) / last)
     i = np.minimum(a.astype(np.int64), height - 2)
     j = np.minimum(b.astype(np.int64), width - 2)
     s, t = a - i, b - j
