@@ -215,12 +215,15 @@ def _regularised_factor(
             return factor, 0
         _, exact, _ = assembly.hessian(x, stiffness, convex=False)
         level = 1
-    _, projected, _ = assembly.hessian(x, stiffness, convex=True)
+    _, added, _ = assembly.hessian(x, stiffness, convex=True)
+    added -= exact
+    band = np.empty_like(exact)
     while level <= _MAX_LEVEL:
         beyond = level - len(_PROJECTED_SHARES)
         share = 1.0 if beyond >= 0 else _PROJECTED_SHARES[level]
         damping = _INERTIA_GROWTH**beyond if beyond >= 0 else 0.0
-        band = (1 - share) * exact + share * projected
+        np.multiply(added, share, out=band)
+        band += exact
         assembly.add_diagonal(band, inertia * (1 + damping))
         factor = BandedCholesky.factorise(band)
         if factor is not None:
