@@ -55,6 +55,10 @@ format: setup ## Format the code
 bench: setup ## Measure speed and accuracy
 	@for file in benchmarks/bench_*.py; do echo "== $$file"; $(BIN)/python $$file; done
 
+.PHONY: results
+results: setup ## Reproduce the table of the README (needs the recordings in TOILE_DATA)
+	$(BIN)/python benchmarks/results.py
+
 .PHONY: dashboard
 dashboard: setup ## Show the runs in outputs/ in TensorBoard
 	$(BIN)/tensorboard --logdir outputs

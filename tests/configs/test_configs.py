@@ -14,7 +14,9 @@ from hydra.utils import get_object
 from omegaconf import DictConfig, OmegaConf
 
 from toile.cli.commands import COMMANDS
-from toile.cli.configuration import CONF, register_resolvers
+from toile.cli.configuration import CONF, instantiate, register_resolvers
+from toile.generation.demo import DEMO, DEMO_TEXTURE_SIZE
+from toile.generation.presets import SHAKEN, STANDARD, SWUNG
 
 HYDRAS_OWN = {"_target_", "_partial_", "_convert_", "_recursive_"}
 PLAIN = (str, int, float, bool, tuple)
@@ -118,6 +120,18 @@ def test_integrator_changes_nothing_else() -> None:
     assert isinstance(other, dict)
     other["simulator"]["build"]["integrator"] = base["simulator"]["build"]["integrator"]
     assert base == other
+
+
+PRESETS = {"demo": DEMO, "standard": STANDARD, "swung": SWUNG, "shaken": SHAKEN}
+
+
+def test_presets_are_those_of_the_package() -> None:
+    """They have been checked there; the files repeat their numbers."""
+    assert {path.stem for path in (CONF / "preset").glob("*.yaml")} == set(PRESETS)
+    for name, settings in PRESETS.items():
+        assert instantiate(compose("generate", [f"preset={name}"]).settings) == settings, name
+    texture = compose("generate", ["preset=demo"]).texture
+    assert (texture.height, texture.width, texture.seed) == (DEMO_TEXTURE_SIZE, DEMO_TEXTURE_SIZE, DEMO.seed)
 
 
 def test_no_file_is_left_out_of_the_package() -> None:
