@@ -48,7 +48,7 @@ def run(cfg: DictConfig) -> None:
     scene: Scene = instantiate(cfg.scene)
     module = FitModule(build_reconstruction(cfg, scene), instantiate(cfg.optimization), cfg.seed)
     interrupted = optimise(cfg, module, checkpoint)
-    trajectory = final_trajectory(module.reconstruction)
+    trajectory = final_trajectory(module.reconstruction, module.recipe.substep_positions())
     write_motion(folder, module, trajectory)
     if interrupted:
         print_path(folder.path, f": stopped after {module.cycles_done} of {module.n_cycles} cycles")

@@ -32,19 +32,26 @@ from toile.reports.overlay import overlay_pictures, write_video
 from toile.reports.run_folder import RunFolder, write_history, write_metrics, write_trajectory
 from toile.reports.run_report import result_page, true_points
 from toile.scenes.scene import Scene
+from toile.simulators.base import SimulationError
 
 _SIDE_VIEWS = 4
 
 
 @torch.no_grad()
-def final_trajectory(reconstruction: Reconstruction) -> Tensor:
-    """The whole video simulated once more from the fitted parameters alone, (F, H, W, 3) [m].
+def final_trajectory(reconstruction: Reconstruction, substep_positions: Tensor | None) -> Tensor:
+    """The whole video simulated once more from the fitted parameters, (F, H, W, 3) [m].
+
+    Args:
+        reconstruction: with the fitted parameters.
+        substep_positions: where every step starts its iterations, see Recipe.substep_positions; None starts
+            from the past alone, and then a buckling cloth may settle in another equilibrium.
 
     Raises:
         SimulationError: a step did not converge.
     """
     scene = reconstruction.scene
-    return reconstruction.simulate(scene.n_frames).positions[0].reshape(scene.n_frames, *scene.grid, 3)
+    motion = reconstruction.simulate(scene.n_frames, substep_positions)
+    return motion.positions[0].reshape(scene.n_frames, *scene.grid, 3)
 
 
 @torch.no_grad()
@@ -134,6 +141,7 @@ def write_numbers(
             if module.history
             else {},
             "difference to the last cycle [mm]": _difference(module, trajectory),
+            "difference to a rollout without warm start [mm]": _difference_cold(module, trajectory),
         },
         "machine": machine(),
     }
@@ -187,3 +195,12 @@ def _difference(module: FitModule, trajectory: Tensor) -> float | None:
         return None
     seen = module.report.positions
     return 1e3 * float((trajectory[: len(seen)].reshape(seen.shape) - seen).norm(dim=-1).max())
+
+
+def _difference_cold(module: FitModule, trajectory: Tensor) -> float | None:
+    """Largest distance [mm] to the motion that the parameters give on their own; None where that fails."""
+    try:
+        cold = final_trajectory(module.reconstruction, None)
+    except SimulationError:
+        return None
+    return 1e3 * float((trajectory - cold).norm(dim=-1).max())

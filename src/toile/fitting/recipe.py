@@ -44,6 +44,13 @@ class Recipe(ABC):
         """Run cycle ``index`` and change reconstruction.parameters in place."""
 
     @abstractmethod
+    def substep_positions(self) -> Tensor | None:
+        """Positions of every sub-step of the last motion (1, n + 1, N, 3) [m], as in Rollout.all_positions.
+
+        A step of a buckling cloth can have several equilibria; this says which one the fit has followed.
+        """
+
+    @abstractmethod
     def state_dict(self) -> dict[str, Any]:
         """Everything beyond the parameters that the next cycle depends on, as tensors and plain values."""
 

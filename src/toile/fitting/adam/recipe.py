@@ -153,6 +153,10 @@ class SuccessiveFramesAdam(Recipe):
             self._update(reconstruction, notes)
         return CycleReport(losses, n, positions.detach(), tuple(notes))
 
+    def substep_positions(self) -> Tensor | None:
+        """See Recipe."""
+        return self._warm_start
+
     def state_dict(self) -> dict[str, Any]:
         """See Recipe."""
         return {

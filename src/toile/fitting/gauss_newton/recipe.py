@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from toile.fitting.gauss_newton.unknowns import Priors, WindowUnknowns
 from toile.fitting.gauss_newton.window import frame_tensor, minimise_window, state_at
@@ -187,6 +188,10 @@ class TrackingRecipe(Recipe):
         }
         motion = frame_tensor(self._positions[: last * substeps + 1], substeps)
         return CycleReport(losses, last + 1, motion, tuple(result.notes))
+
+    def substep_positions(self) -> Tensor | None:
+        """See Recipe."""
+        return None if self._positions is None else torch.from_numpy(self._positions)[None]
 
     def state_dict(self) -> dict[str, Any]:
         """See Recipe."""

@@ -50,7 +50,7 @@ class WindowUnknowns:
         reconstruction: holds the current parameters.
         priors: see Priors.
         start_stiffness: (3,) Y, S, B in network units at the start of the fit.
-        first, last: frames; motion up to ``first`` is fixed unless it is frame 0.
+        first, last: frames; the motion up to ``first`` is fixed.
     """
 
     def __init__(
@@ -81,9 +81,9 @@ class WindowUnknowns:
             if priors.anchor_motion is None or len(reconstruction.cloth.held) == 0
             else SmoothSeries(self.n + 1, priors.anchor_motion, priors.anchor_motion_time)
         )
+        # Where the window starts the cloth is where it is, held vertices included.
         self._anchor_free = np.ones((self.n + 1, 1, 1))
-        if first > 0:
-            self._anchor_free[0] = 0.0
+        self._anchor_free[0] = 0.0
         self._read(reconstruction.parameters)
         self._mean_stiffness = self._stiffness if priors.walk else start_stiffness
         self._mean_wind = self._wind if priors.walk else np.zeros(3)
