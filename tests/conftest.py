@@ -87,5 +87,12 @@ def swaying_scene() -> Scene:
         n_frames=5,
         image_size=(64, 64),
         focal_length=96.0,
+        # Written out, because tolerances of tests were measured on this motion.
+        cloth_size=(0.6, 0.6),
+        bending=2.0,
+        initial_wind=(0.5, 0.0, -1.0),
+        wind=(-0.3, 0.0, 1.5),
+        held_distance=0.96,
+        distance=1.1,
     )
     return generate(settings, procedural_texture(128, 128, seed=0))[0]
