@@ -1,0 +1,50 @@
+"""The embedded demo: a small scene that the project makes itself in seconds, without any data."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from toile.generation.generator import generate
+from toile.generation.settings import GeneratorSettings
+from toile.generation.textures import procedural_texture
+from toile.generation.truth import write
+from toile.scenes.scene import Scene
+
+DEMO = GeneratorSettings(
+    name="demo",
+    grid=(16, 16),
+    refinement=2,
+    substeps=8,
+    n_frames=24,
+    fps=50.0,
+    cloth_size=(0.5, 0.5),
+    stretching=2000.0,
+    shearing=10.0,
+    bending=0.5,
+    initial_wind=(0.5, 0.0, -1.0),
+    wind=(-0.8, 0.0, 2.5),
+    held_distance=0.9,
+    distance=1.0,
+    image_size=(240, 240),
+    focal_length=350.0,
+    seed=1,
+)
+"""Settings of the demo scene."""
+DEMO_TEXTURE_SIZE = 400
+"""Side of the demo's texture [px]."""
+
+
+def demo_scene() -> tuple[Scene, dict[str, Any]]:
+    """Generate the demo scene and its truth."""
+    return generate(DEMO, procedural_texture(DEMO_TEXTURE_SIZE, DEMO_TEXTURE_SIZE, DEMO.seed))
+
+
+def write_demo(folder: Path | str, *, overwrite: bool = False) -> Path:
+    """Generate the demo scene and write it; returns the folder.
+
+    Raises:
+        InputError: the folder exists and ``overwrite`` is False.
+    """
+    scene, truth = demo_scene()
+    return write(scene, truth, folder, overwrite=overwrite)

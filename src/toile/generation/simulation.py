@@ -1,0 +1,90 @@
+"""One sheet set in motion: the part that generating a scene and measuring its discretisation share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from toile.cloth.cloth import Cloth, grid_cloth
+from toile.cloth.material import Material
+from toile.cloth.state import State
+from toile.generation.motion import HeldMotion
+from toile.simulators.implicit.integrators import BDF2
+from toile.simulators.implicit.newton import NewtonSettings
+from toile.simulators.implicit.simulator import ImplicitSimulator
+from toile.simulators.rollout import rollout
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A cloth with its material, in one pose.
+
+    Attributes:
+        pose: positions (H, W, 3) [m], float64, camera frame.
+        cloth: the cloth on that grid.
+        material: stiffnesses (1,).
+    """
+
+    pose: Tensor
+    cloth: Cloth
+    material: Material
+
+    @property
+    def grid(self) -> tuple[int, int]:
+        """Grid size (H, W)."""
+        return int(self.pose.shape[0]), int(self.pose.shape[1])
+
+    @staticmethod
+    def of(
+        pose: Tensor,
+        cloth_size: tuple[float, float],
+        areal_density: float,
+        held: tuple[int, ...],
+        material: Material,
+    ) -> Sheet:
+        """A sheet that is flat and evenly spaced at rest; arguments as for grid_cloth."""
+        grid = (int(pose.shape[0]), int(pose.shape[1]))
+        return Sheet(pose, grid_cloth(grid, cloth_size, areal_density, held), material)
+
+
+def simulate(
+    sheet: Sheet,
+    *,
+    held_motion: HeldMotion,
+    acceleration: Tensor,
+    n_frames: int,
+    fps: float,
+    substeps: int,
+    newton: NewtonSettings,
+) -> Tensor:
+    """Motion of a sheet that is at rest at frame 0.
+
+    Held vertices follow their motion exactly in every sub-step, not on straight lines between frames.
+
+    Args:
+        sheet: the cloth in its initial pose.
+        held_motion: of the held vertices.
+        acceleration: gravity plus wind, (3,) [m/s²], constant from frame 0 on.
+        n_frames: number of frames F.
+        fps: frames per second.
+        substeps: BDF2 steps per frame.
+        newton: accuracy of every step.
+
+    Returns:
+        Positions (F, H, W, 3) [m].
+
+    Raises:
+        SimulationError: a step did not converge.
+    """
+    step = 1 / (fps * substeps)
+    n_steps = (n_frames - 1) * substeps
+    simulator = ImplicitSimulator(sheet.cloth, step, BDF2(), newton)
+    start = sheet.pose.reshape(1, -1, 3)
+    times = step * torch.arange(n_steps + 1, dtype=torch.float64)
+    anchors = start[:, sheet.cloth.held] + held_motion.displacement(times)[:, None]
+    forces = (sheet.cloth.masses[:, None] * acceleration).expand(1, n_steps, -1, 3)
+    state = State.start(start, torch.zeros_like(start), step, simulator.n_past)
+    motion = rollout(simulator, state, sheet.material, forces, anchors[None], substeps=1)
+    return motion.positions[0, ::substeps].reshape(n_frames, *sheet.pose.shape)
