@@ -12,7 +12,7 @@ Simulated on the fit's grid with the true parameters, the vertices deviate from 
 | SWUNG | 4 | 0.29 | 0.34 | 40 |
 | SHAKEN | 4 | 0.59 | 1.06 | 24 |
 
-What is left with 8 steps is the grid's share. It grows fast where folds become sharper than the grid can bend:
+What is left with 8 steps is the grid's share. It grows fast where folds are sharper than the grid can bend:
 with a held distance of 0.8 instead of 0.96 it is 2 %.
 """
 
