@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-
 # The published fit takes every video frame as 0.02 s. Stiffnesses are quoted at this time unit whatever the
 # frame rate of a video, so that the same number is the same fabric [s].
 PAPER_TIME_STEP = 0.02

@@ -61,7 +61,8 @@ class ClothParameters(nn.Module):
         Args:
             masses: (N,) [kg].
             gravity: (3,) [m/s²].
-            first, last: frame window.
+            first: first frame of the window.
+            last: last frame of the window.
         """
         constant = masses[:, None] * (gravity + self.wind)
         return constant + self.units.mass * self.turbulence[first:last]

@@ -1,7 +1,7 @@
 """Gaussian smoothness priors, diagonal in a cosine basis.
 
-The force regularisation of the paper (Eq. 17) is a quadratic form in T: its length, its change in time and its
-change along the two grid directions. With free ends that form is diagonal in the discrete cosine transform,
+The force regularisation of the paper (Eq. 17) is a quadratic form in T: its length, its change in time and
+its change along the two grid directions. With free ends that form is diagonal in the discrete cosine transform,
 
     R_T = ½ Σ_k |T̂_k|² / q_k²,    q_k = σ' (1 + l_t² λ_t + l_s² (λ_i + λ_j))^{-½},   λ = 2 - 2 cos(π k / n),
 
@@ -31,7 +31,9 @@ class SmoothField:
         space_scale: l_s, vertices over which the field is correlated.
     """
 
-    def __init__(self, shape: tuple[int, int, int], deviation: float, time_scale: float, space_scale: float) -> None:
+    def __init__(
+        self, shape: tuple[int, int, int], deviation: float, time_scale: float, space_scale: float
+    ) -> None:
         n, height, width = shape
         rough = (
             1

@@ -58,9 +58,8 @@ class Reconstruction:
         positions = self.template.clone()
         if len(self.cloth.held):
             positions = positions.index_copy(0, self.cloth.held, self.anchors(0, 0)[0])
-        return State.start(
-            positions[None], torch.zeros_like(positions)[None], self.simulator.time_step, self.simulator.n_past
-        )
+        still = torch.zeros_like(positions)
+        return State.start(positions[None], still[None], self.simulator.time_step, self.simulator.n_past)
 
     def simulate(
         self, n_frames: int, warm_start: Tensor | None = None, *, linearize: bool = False, throw: bool = True

@@ -59,8 +59,8 @@ class Shake(HeldMotion):
         fade_in: T_in [s].
     """
 
-    amplitude: tuple[float, float, float] = (0.01, 0.0, 0.02)
-    frequency: float = 1.5
+    amplitude: tuple[float, float, float] = (0.015, 0.0, 0.03)
+    frequency: float = 2.0
     fade_in: float = 0.25
 
     def displacement(self, times: Tensor) -> Tensor:

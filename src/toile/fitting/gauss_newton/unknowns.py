@@ -65,6 +65,7 @@ class WindowUnknowns:
         self._masses = masses[:, None]
         self._relative_mass = masses[:, None] / reconstruction.parameters.units.mass
         units = reconstruction.parameters.units
+        self._interior_mass = units.mass
         self._stiffness_units = np.array([units.stretching, units.energy, units.energy])
         gravity = reconstruction.gravity.numpy()
         self._horizontal = _horizontal_basis(gravity)
@@ -89,7 +90,8 @@ class WindowUnknowns:
         self._mean_wind = self._wind if priors.walk else np.zeros(3)
 
     def _read(self, p: ClothParameters) -> None:
-        self._turbulence = p.turbulence.detach().numpy()[self.first : self.last] / self._relative_mass
+        self._stored = p.turbulence.detach().numpy()[self.first : self.last].copy()
+        self._turbulence = self._stored / self._relative_mass
         self._anchors = p.anchor_motion.detach().numpy()[self.first : self.last + 1].copy()
         self._stiffness = np.array([p.get_parameter(name).item() for name in ClothParameters.STIFFNESSES])
         self._wind = p.wind.detach().numpy().copy()
@@ -133,8 +135,15 @@ class WindowUnknowns:
         return self._mean_wind + self.priors.wind * z["wind"] @ self._horizontal
 
     def forces(self, z: Vector) -> Array:
-        """External forces (n, N, 3) [N]."""
-        return self._masses * (self._gravity + self.wind(z) + self.turbulence(z))
+        """External forces (n, N, 3) [N], rounded as ClothParameters.forces rounds the stored values."""
+        constant = self._masses * (self._gravity + self.wind(z))
+        return constant + self._interior_mass * self._stored_turbulence(z)
+
+    def _stored_turbulence(self, z: Vector) -> Array:
+        """Turbulence as the parameters store it, per interior mass (n, N, 3) [m/s²]."""
+        if self._field is None:
+            return self._stored
+        return self.turbulence(z) * self._relative_mass
 
     def si_stiffness(self, z: Vector) -> Array:
         """Y [N/m], S [N·m], B [N·m]."""

@@ -1,0 +1,149 @@
+"""The README's results: every number from a run of the command line, with the folder it came from.
+
+    python benchmarks/results.py                      # everything the data folder allows
+    python benchmarks/results.py --only R1 --seeds 0  # a part
+
+Runs one fit after the other (two at a time would compete for the cores), skips runs that have finished, and
+writes docs/results/results.csv, results.md and identification.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+ROOT = Path(__file__).resolve().parent.parent
+INDEPENDENT = ("a1cb40", "23a8be", "69da5d", "dbab90", "f6e34f")
+PARAMETERS = ("stretching", "shearing", "bending")
+# Identification starts from these values, whatever the truth is; network units.
+START = {"stretching": 3000.0, "shearing": 8.0, "bending": 0.5}
+
+
+def toile(*arguments: str) -> None:
+    """Run one command; its failure is reported and does not stop the rest."""
+    command = [str(Path(sys.executable).parent / "toile"), *arguments]
+    print("$", " ".join(command), flush=True)
+    status = subprocess.run(command, cwd=ROOT, check=False).returncode
+    if status:
+        print(f"failed with exit status {status}", flush=True)
+
+
+def fit(scene: list[str], folder: Path, seed: int, *extra: str) -> dict[str, Any] | None:
+    """Fit once; an existing result is read."""
+    metrics = folder / "metrics.json"
+    if not metrics.exists():
+        toile("fit", *scene, f"seed={seed}", f"hydra.run.dir={folder}", "report.video=false", *extra)
+    return json.loads(metrics.read_text()) if metrics.exists() else None
+
+
+def mean_of(metrics: dict[str, Any], key: str) -> float:
+    """Mean over the frames of one metric, nan where the scene does not allow it."""
+    return float(metrics.get("metrics", {}).get(key, {}).get("mean", float("nan")))
+
+
+def reconstruction_table(only: list[str] | None, seeds: list[int], outputs: Path) -> pd.DataFrame:
+    """One row per scene, recipe and seed."""
+    rows = []
+    cases = [("R1", ["scene=R1"], seeds)] + [(n, [f"scene.name={n}"], seeds[:1]) for n in INDEPENDENT]
+    for name, scene, its_seeds in cases:
+        if only and name not in only:
+            continue
+        for seed in its_seeds:
+            folder = outputs / f"{name}_seed{seed}"
+            metrics = fit(scene, folder, seed)
+            if metrics is None:
+                continue
+            rows.append(
+                {
+                    "scene": name,
+                    "seed": seed,
+                    "chamfer x1e4 [m²]": mean_of(metrics, "chamfer"),
+                    "vertex error [% of width]": mean_of(metrics, "vertex_error_percent"),
+                    "point to surface [mm]": mean_of(metrics, "point_to_surface"),
+                    "normal error [deg]": mean_of(metrics, "normal_error"),
+                    "silhouette IoU": mean_of(metrics, "silhouette_iou"),
+                    "fit [s]": metrics["fit"]["seconds of the fit"],
+                    "total [s]": metrics["fit"]["seconds in total"],
+                    "run": str(folder.relative_to(ROOT)),
+                }
+            )
+    return pd.DataFrame(rows)
+
+
+def identification_table(outputs: Path) -> pd.DataFrame:
+    """Truth, start and estimate of every parameter of a generated scene."""
+    scene = outputs / "identification_scene"
+    if not (scene / "scene.json").exists():
+        toile("generate", f"folder={scene}", "settings.name=identification_scene")
+    start = [f"parameters.{name}={value}" for name, value in START.items()]
+    folder = outputs / "identification_fit"
+    metrics = fit(
+        [f"scene.name={scene}"],
+        folder,
+        0,
+        "optimization=identification",
+        "cloth/rest_lengths=uniform",
+        *start,
+    )
+    if metrics is None:
+        return pd.DataFrame()
+    truth = json.loads((scene / "ground_truth" / "truth.json").read_text())
+    history = pd.read_csv(folder / "history.csv").iloc[-1]
+    rows = []
+    for name in PARAMETERS:
+        true, found = truth["network_units"][name], float(history[f"{name} [network units]"])
+        rows.append((name, "network units", START[name], true, found, f"{100 * (found / true - 1):+.1f} %"))
+    for axis, true in zip("xz", (truth["wind"][0], truth["wind"][2]), strict=True):
+        found = float(history[f"wind {axis} [m/s²]"])
+        rows.append((f"wind {axis}", "m/s²", 0.0, true, found, f"{found - true:+.3f}"))
+    error = mean_of(metrics, "vertex_error_percent")
+    rows.append(("mean vertex error", "% of width", float("nan"), 0.0, error, f"{error:.3f}"))
+    return pd.DataFrame(rows, columns=["parameter", "unit", "start", "truth", "found", "error"])
+
+
+def main() -> None:
+    """See the module's text."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--only", nargs="*", help="scene names")
+    parser.add_argument("--seeds", nargs="*", type=int, default=[0, 1, 2])
+    parser.add_argument("--outputs", type=Path, default=ROOT / "outputs" / "results")
+    parser.add_argument("--no-identification", action="store_true")
+    options = parser.parse_args()
+    options.outputs.mkdir(parents=True, exist_ok=True)
+    docs = ROOT / "docs" / "results"
+    docs.mkdir(parents=True, exist_ok=True)
+    table = reconstruction_table(options.only, options.seeds, options.outputs.resolve())
+    if len(table):
+        table.to_csv(docs / "results.csv", index=False)
+        numbers = (
+            table.drop(columns=["run", "seed"]).groupby("scene", sort=False).agg(["mean", "std", "count"])
+        )
+        lines = []
+        for scene, row in numbers.iterrows():
+            cells = {"scene": scene, "seeds": int(row[("fit [s]", "count")])}
+            for column in numbers.columns.levels[0]:
+                mean, deviation = row[(column, "mean")], row[(column, "std")]
+                if pd.isna(mean):
+                    cells[column] = "–"
+                else:
+                    cells[column] = f"{mean:.3g}" + ("" if pd.isna(deviation) else f" ± {deviation:.2g}")
+            lines.append(cells)
+        text = pd.DataFrame(lines).to_markdown(index=False)
+        (docs / "results.md").write_text(text + "\n")
+        print(text)
+    if not options.no_identification:
+        found = identification_table(options.outputs.resolve())
+        if len(found):
+            text = found.to_markdown(index=False, floatfmt=".4g")
+            (docs / "identification.md").write_text(text + "\n")
+            print(text)
+
+
+if __name__ == "__main__":
+    main()
