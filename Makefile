@@ -53,7 +53,8 @@ format: setup ## Format the code
 
 .PHONY: bench
 bench: setup ## Measure speed and accuracy
-	@for file in benchmarks/bench_*.py; do echo "== $$file"; $(BIN)/python $$file; done
+	@mkdir -p outputs
+	@for file in benchmarks/bench_*.py; do echo; echo "## $$(basename $$file .py)"; echo; $(BIN)/python $$file; done | tee outputs/benchmarks.md
 
 .PHONY: results
 results: setup ## Reproduce the table of the README (needs the recordings in TOILE_DATA)
