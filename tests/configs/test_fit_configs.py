@@ -102,3 +102,12 @@ def test_paper_experiment() -> None:
     regularization = "loss.force_regularization."
     assert [paper[regularization + k] for k in ("alpha", "beta", "gamma")] == [1e-2, 1e-3, 1e-2]
     assert paper[regularization + "reduction"] == "sum"
+
+
+def test_the_first_pass_of_the_default_recipe_can_be_left_out() -> None:
+    """It takes its settings from the second one, so one override removes it and one changes both."""
+    without = compose("fit", overrides=["optimization.stages.calibrate=null"]).optimization.stages
+    assert without.calibrate is None
+    assert without.track.windows.lag == 6
+    longer = compose("fit", overrides=["optimization.stages.track.windows.lag=9"]).optimization.stages
+    assert longer.calibrate.windows.lag == 9
