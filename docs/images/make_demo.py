@@ -1,6 +1,6 @@
 """The README's picture: two frames of the overlay of a demo run.
 
-    make demo && .venv/bin/python docs/images/make_demo.py outputs/fit/demo/<time>
+make demo && .venv/bin/python docs/images/make_demo.py outputs/fit/demo/<time>
 """
 
 import sys

@@ -1,9 +1,9 @@
 """Gaussian smoothness priors, diagonal in a cosine basis.
 
 The force regularisation of the paper (Eq. 17) is a quadratic form in T: its length, its change in time and
-its change along the two grid directions. With free ends that form is diagonal in the discrete cosine transform,
+its change along the two grid directions. With free ends that form is diagonal in the cosine transform,
 
-    R_T = ½ Σ_k |T̂_k|² / q_k²,    q_k = σ' (1 + l_t² λ_t + l_s² (λ_i + λ_j))^{-½},   λ = 2 - 2 cos(π k / n),
+    R_T = ½ Σ_k |T̂_k|² / q_k²,   q_k = σ' (1 + l_t² λ_t + l_s² (λ_i + λ_j))^{-½},   λ = 2 - 2 cos(π k / n),
 
 so T = DCT⁻¹(q z) turns it into ½ |z|²: white coordinates z in which Gauss-Newton is well conditioned.
 """
