@@ -4,7 +4,7 @@
     python benchmarks/results.py --only R1 --seeds 0  # a part
 
 Runs one fit after the other (two at a time would compete for the cores), skips runs that have finished, and
-writes docs/results/results.csv, results.md and identification.md.
+writes docs/results/results.csv, results.md, identification.md and, with --variants, variants.md.
 """
 
 from __future__ import annotations
@@ -23,6 +23,27 @@ INDEPENDENT = ("a1cb40", "23a8be", "69da5d", "dbab90", "f6e34f")
 PARAMETERS = ("stretching", "shearing", "bending")
 # Identification starts from these values, whatever the truth is; network units.
 START = {"stretching": 3000.0, "shearing": 8.0, "bending": 0.5}
+
+_ALONE = "optimization.stages.calibrate=null"
+_TRACK = "optimization.stages.track"
+# One factor at a time, on R1, against the second stage alone: what it brings, and what it costs to leave out.
+VARIANTS = {
+    "second stage alone": [_ALONE],
+    "shear 8 instead of 20": [_ALONE, "parameters.shearing=8"],
+    "shear 50": [_ALONE, "parameters.shearing=50"],
+    "ten times the mask weight": [_ALONE, f"{_TRACK}.term.mask_weight=576"],
+    "colours as they are": [_ALONE, f"{_TRACK}.term.neighbourhood=null"],
+    "weaker and smoother forces": [
+        _ALONE,
+        f"{_TRACK}.priors.turbulence=3",
+        f"{_TRACK}.priors.turbulence_time=2",
+        f"{_TRACK}.priors.turbulence_space=4",
+    ],
+    "backward Euler": [_ALONE, "simulator/integrator=backward_euler"],
+    "one step per frame": [_ALONE, "simulator.substeps=1"],
+    "equal rest lengths": [_ALONE, "cloth/rest_lengths=uniform"],
+    "the paper's recipe, exact solver": ["experiment=paper"],
+}
 
 
 def toile(*arguments: str) -> None:
@@ -76,6 +97,27 @@ def reconstruction_table(only: list[str] | None, seeds: list[int], outputs: Path
     return pd.DataFrame(rows)
 
 
+def variants_table(outputs: Path) -> pd.DataFrame:
+    """R1 with one factor changed at a time."""
+    rows = []
+    for name, overrides in VARIANTS.items():
+        folder = outputs / ("variant_" + name.replace(" ", "_").replace(",", "").replace("'", ""))
+        metrics = fit(["scene=R1"], folder, 0, *overrides)
+        if metrics is None:
+            continue
+        rows.append(
+            {
+                "variant": name,
+                "chamfer x1e4 [m²]": mean_of(metrics, "chamfer"),
+                "point to surface [mm]": mean_of(metrics, "point_to_surface"),
+                "silhouette IoU": mean_of(metrics, "silhouette_iou"),
+                "fit [s]": metrics["fit"]["seconds of the fit"],
+                "overrides": " ".join(f"`{o}`" for o in overrides),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
 def identification_table(outputs: Path) -> pd.DataFrame:
     """Truth, start and estimate of every parameter of a generated scene."""
     scene = outputs / "identification_scene"
@@ -114,6 +156,7 @@ def main() -> None:
     parser.add_argument("--seeds", nargs="*", type=int, default=[0, 1, 2])
     parser.add_argument("--outputs", type=Path, default=ROOT / "outputs" / "results")
     parser.add_argument("--no-identification", action="store_true")
+    parser.add_argument("--variants", action="store_true", help="also vary one factor at a time (20 minutes)")
     options = parser.parse_args()
     options.outputs.mkdir(parents=True, exist_ok=True)
     docs = ROOT / "docs" / "results"
@@ -142,6 +185,12 @@ def main() -> None:
         if len(found):
             text = found.to_markdown(index=False, floatfmt=".4g")
             (docs / "identification.md").write_text(text + "\n")
+            print(text)
+    if options.variants:
+        varied = variants_table(options.outputs.resolve())
+        if len(varied):
+            text = varied.to_markdown(index=False, floatfmt=".3g")
+            (docs / "variants.md").write_text(text + "\n")
             print(text)
 
 
