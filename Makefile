@@ -53,8 +53,7 @@ format: setup ## Format the code
 
 .PHONY: bench
 bench: setup ## Measure speed and accuracy
-	@mkdir -p outputs
-	@for file in benchmarks/bench_*.py; do echo; echo "## $$(basename $$file .py)"; echo; $(BIN)/python $$file; done | tee outputs/benchmarks.md
+	@{ echo '# Benchmarks (`make bench`)'; for file in benchmarks/bench_*.py; do echo; echo "## $$(basename $$file .py)"; echo; $(BIN)/python $$file; done; } | tee docs/results/benchmarks.md
 
 .PHONY: results
 results: setup ## Reproduce the table of the README (needs the recordings in TOILE_DATA)

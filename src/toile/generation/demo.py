@@ -2,14 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any
-
-from toile.generation.generator import generate
 from toile.generation.settings import GeneratorSettings
-from toile.generation.textures import procedural_texture
-from toile.generation.truth import write
-from toile.scenes.scene import Scene
 
 DEMO = GeneratorSettings(
     name="demo",
@@ -33,18 +26,3 @@ DEMO = GeneratorSettings(
 """Settings of the demo scene."""
 DEMO_TEXTURE_SIZE = 400
 """Side of the demo's texture [px]."""
-
-
-def demo_scene() -> tuple[Scene, dict[str, Any]]:
-    """Generate the demo scene and its truth."""
-    return generate(DEMO, procedural_texture(DEMO_TEXTURE_SIZE, DEMO_TEXTURE_SIZE, DEMO.seed))
-
-
-def write_demo(folder: Path | str, *, overwrite: bool = False) -> Path:
-    """Generate the demo scene and write it; returns the folder.
-
-    Raises:
-        InputError: the folder exists and ``overwrite`` is False.
-    """
-    scene, truth = demo_scene()
-    return write(scene, truth, folder, overwrite=overwrite)

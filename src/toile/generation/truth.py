@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
-import tempfile
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -14,6 +12,7 @@ from toile.errors import InputError
 from toile.generation.refinement import refined_material, refined_size
 from toile.generation.settings import GeneratorSettings
 from toile.generation.starting_point import StartingPoint
+from toile.scenes.atomic_folder import folder_written_atomically
 from toile.scenes.native import write_native
 from toile.scenes.scene import Scene
 from toile.scenes.template import Template
@@ -74,25 +73,11 @@ def write(scene: Scene, truth: dict[str, Any], folder: Path | str, *, overwrite:
         InputError: the folder exists and ``overwrite`` is False.
     """
     folder = Path(folder)
-    if folder.exists() and not overwrite:
-        raise InputError(
-            "Scene folder exists already",
-            where=str(folder),
-            expected="a folder that does not exist, or overwrite=True",
-            got="an existing file or folder",
-        )
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    scratch = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
-    try:
-        new = write_native(scene, scratch / "new")
+    with folder_written_atomically(folder, overwrite=overwrite) as new:
+        write_native(scene, new)
         path = new / TRUTH_FILE
         path.parent.mkdir(exist_ok=True)
         path.write_text(json.dumps(truth, indent=1) + "\n")
-        if folder.exists():
-            folder.rename(scratch / "old")
-        new.rename(folder)
-    finally:
-        shutil.rmtree(scratch)
     return folder
 
 

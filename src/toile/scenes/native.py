@@ -29,8 +29,6 @@ from __future__ import annotations
 
 import json
 import math
-import shutil
-import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -43,6 +41,7 @@ from torch import Tensor
 from toile.errors import InputError
 from toile.geometry.camera import Camera
 from toile.geometry.io import PolygonMesh, read_mesh, write_mesh, write_point_cloud
+from toile.scenes.atomic_folder import folder_written_atomically
 from toile.scenes.findings import Finding, Severity, attempt, has_errors, require
 from toile.scenes.images import numbered_files, read_rgb, write_image
 from toile.scenes.recording import ImageCheck, Recording, check_image_files, limited, to_scene
@@ -131,24 +130,9 @@ def write_native(scene: Scene, folder: Path | str, *, overwrite: bool = False) -
         InputError: the folder exists and ``overwrite`` is False.
     """
     folder = Path(folder)
-    if folder.exists() and not overwrite:
-        raise InputError(
-            "Scene folder exists already",
-            where=str(folder),
-            expected="a folder that does not exist, or overwrite=True",
-            got="an existing file or folder",
-        )
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    scratch = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
-    try:
-        new = scratch / "new"
+    with folder_written_atomically(folder, overwrite=overwrite) as new:
         new.mkdir()
         _write_files(scene, new)
-        if folder.exists():
-            folder.rename(scratch / "old")
-        new.rename(folder)
-    finally:
-        shutil.rmtree(scratch)
     return folder
 
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from toile.fitting.gauss_newton.unknowns import Priors, WindowUnknowns
-from toile.fitting.gauss_newton.window import frame_tensor, minimise_window, state_at
+from toile.fitting.gauss_newton.window import minimise_window, state_at
 from toile.fitting.parameters import ClothParameters
 from toile.fitting.recipe import CycleReport, Recipe
 from toile.fitting.reconstruction import Reconstruction
@@ -186,7 +186,7 @@ class TrackingRecipe(Recipe):
             "conjugate_gradient_iterations": float(result.conjugate_gradients),
             "newton_iterations": float(result.newton),
         }
-        motion = frame_tensor(self._positions[: last * substeps + 1], substeps)
+        motion = torch.from_numpy(self._positions[: last * substeps + 1 : substeps])
         return CycleReport(losses, last + 1, motion, tuple(result.notes))
 
     def substep_positions(self) -> Tensor | None:

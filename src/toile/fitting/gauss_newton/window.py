@@ -15,7 +15,6 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from toile.cloth.material import Material
 from toile.cloth.state import State
@@ -204,8 +203,3 @@ def minimise_window(
         newton=newton,
         notes=notes,
     )
-
-
-def frame_tensor(substep_positions: Array, substeps: int) -> Tensor:
-    """Positions of the frames (n, N, 3) among those of the sub-steps."""
-    return torch.from_numpy(substep_positions[::substeps])
