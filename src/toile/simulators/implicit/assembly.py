@@ -6,18 +6,17 @@ compares them) and write the Hessian directly into LAPACK's lower band storage.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
 from toile.cloth.stencils import Stencils
 from toile.simulators.implicit.assembly_kernels import (
-    angle_derivatives,
-    angle_energy,
-    edge_derivatives,
-    edge_energy,
+    CONVEX_HESSIAN,
+    EXACT_HESSIAN,
+    GRADIENT_ONLY,
+    derivatives,
+    energies,
 )
 from toile.simulators.implicit.banded import bandwidth_order
 from toile.warp_runtime import start_warp, view
@@ -58,50 +57,63 @@ class Assembly:
         dof = (3 * position[:, None] + np.arange(3)).reshape(-1)
         self._to_band = dof
         self.held = np.asarray(held, np.int64)
-        slots = np.full(self.n, -1, np.int32)
-        slots[self.held] = np.arange(len(self.held), dtype=np.int32)
         held_dofs = (3 * position[self.held][:, None] + np.arange(3)).reshape(-1)
         self._held_band_dofs = held_dofs
-        self.free = np.repeat((slots < 0).astype(np.float64), 3).reshape(self.n, 3)
-        self._position = view(position.astype(np.int32), wp.int32)
-        self._held = view(slots, wp.int32)
-        self._index = [view(i.astype(np.int32, order="C"), wp.int32) for i in index]
-        rest = [rest_lengths, rest_corner_angles, np.zeros(len(index[2]))]
-        self._rest = [view(np.array(r, np.float64), wp.float64) for r in rest]
+        place = position.copy()
+        place[self.held] = -1 - np.arange(len(self.held))
+        self.free = np.repeat((place >= 0).astype(np.float64), 3).reshape(self.n, 3)
         weights = weights or (np.ones(len(index[0])), np.ones(len(index[1])), np.ones(len(index[2])))
-        self._weight = [view(np.array(w, np.float64), wp.float64) for w in weights]
-        self._sign = [0.0, 1.0, -1.0]
-        self._no_band = view(np.zeros((1, 1)), wp.float64)
+        elements = [
+            view(index[0].astype(np.int32, order="C"), wp.int32),
+            view(np.array(rest_lengths, np.float64), wp.float64),
+            view(np.array(weights[0], np.float64), wp.float64),
+            view(np.concatenate(index[1:]).astype(np.int32, order="C"), wp.int32),
+            len(index[1]),
+            view(np.concatenate((rest_corner_angles, np.zeros(len(index[2])))), wp.float64),
+            view(np.concatenate(weights[1:]), wp.float64),
+        ]
+        # Launches are recorded once, with arguments of their own: to pack those anew takes longer than to
+        # compute. What a caller gets is always a copy.
+        self._x = np.zeros((self.n, 3))
+        self._energies = np.zeros(3)
+        self._gradients = np.zeros((3, self.n, 3))
+        self._stiffness = np.zeros(3)
+        positions = view(self._x, wp.vec3d)
+        self._launch_energies = wp.launch(
+            energies,
+            dim=sum(map(len, index)),
+            inputs=[positions, *elements, view(self._energies, wp.float64)],
+            device="cpu",
+            record_cmd=True,
+        )
+        self._launch_derivatives = wp.launch(
+            derivatives,
+            dim=sum(map(len, index)),
+            inputs=[
+                positions,
+                *elements,
+                view(self._gradients, wp.vec3d),
+                view(self._stiffness, wp.float64),
+                self.half_bandwidth + 1,
+                view(place.astype(np.int32), wp.int32),
+                GRADIENT_ONLY,
+                view(np.zeros(1), wp.float64),
+                view(np.zeros((1, 1)), wp.float64),
+            ],
+            device="cpu",
+            record_cmd=True,
+        )
 
     def energies(self, x: Array) -> Array:
         """Unit-stiffness energies (3,) of stretching, shearing and bending at positions x (N, 3)."""
-        out = np.zeros(3)
-        positions = view(np.ascontiguousarray(x, np.float64).reshape(-1, 3), wp.vec3d)
-        target = view(out, wp.float64)
-        wp.launch(
-            edge_energy,
-            dim=self._index[0].shape[0],
-            inputs=[positions, self._index[0], self._rest[0], self._weight[0], target],
-            device="cpu",
-        )
-        for term in (1, 2):
-            inputs = [
-                positions,
-                self._index[term],
-                self._rest[term],
-                self._weight[term],
-                self._sign[term],
-                term,
-                target,
-            ]
-            wp.launch(angle_energy, dim=self._index[term].shape[0], inputs=inputs, device="cpu")
-        return out
+        self._x[:] = x
+        self._energies.fill(0.0)
+        self._launch_energies.launch()
+        return self._energies.copy()
 
     def gradients(self, x: Array) -> Array:
         """Unit-stiffness gradients (3, N, 3) of the three energies."""
-        gradients = np.zeros((3, self.n, 3))
-        self._launch(x, np.ones(3), gradients, None, None, convex=False)
-        return gradients
+        return self._launch(x, GRADIENT_ONLY)
 
     def hessian(self, x: Array, stiffness: Array, *, convex: bool) -> tuple[Array, Array, Array]:
         """Unit-stiffness gradients, Hessian band and coupling to the held vertices.
@@ -115,10 +127,12 @@ class Assembly:
             gradients (3, N, 3); band (3N, b + 1) with zero rows at held vertices; coupling (3 n_held, 3N),
             the rows ∂²E/∂x_held∂x_free in the vertices' own order.
         """
-        gradients = np.zeros((3, self.n, 3))
         band = np.zeros((3 * self.n, self.half_bandwidth + 1))
         coupling = np.zeros((max(3 * len(self.held), 1), 3 * self.n))
-        self._launch(x, stiffness, gradients, band, coupling, convex=convex)
+        self._stiffness[:] = stiffness
+        self._launch_derivatives.set_param_by_name("band", view(band.reshape(-1), wp.float64))
+        self._launch_derivatives.set_param_by_name("coupling", view(coupling, wp.float64))
+        gradients = self._launch(x, CONVEX_HESSIAN if convex else EXACT_HESSIAN)
         return gradients, band, coupling[: 3 * len(self.held)]
 
     def add_diagonal(self, band: Array, diagonal: Array) -> None:
@@ -142,35 +156,9 @@ class Assembly:
             x = x[..., self._to_band]
         return x.reshape(*x.shape[:-1], self.n, 3)
 
-    def _launch(
-        self,
-        x: Array,
-        stiffness: Array,
-        gradients: Array,
-        band: Array | None,
-        coupling: Array | None,
-        *,
-        convex: bool,
-    ) -> None:
-        positions = view(np.ascontiguousarray(x, np.float64).reshape(-1, 3), wp.vec3d)
-        wants = int(band is not None)
-        matrix = self._no_band if band is None else view(band, wp.float64)
-        side = self._no_band if coupling is None else view(coupling, wp.float64)
-        for term in range(3):
-            if self._index[term].shape[0] == 0:
-                continue
-            target = view(gradients[term], wp.vec3d)
-            kernel: Any = edge_derivatives if term == 0 else angle_derivatives
-            inputs = [positions, self._index[term], self._rest[term], self._weight[term]]
-            inputs += [] if term == 0 else [self._sign[term]]
-            inputs += [
-                float(stiffness[term]),
-                wants,
-                int(convex),
-                self._position,
-                self._held,
-                target,
-                matrix,
-                side,
-            ]
-            wp.launch(kernel, dim=self._index[term].shape[0], inputs=inputs, device="cpu")
+    def _launch(self, x: Array, order: int) -> Array:
+        self._x[:] = x
+        self._gradients.fill(0.0)
+        self._launch_derivatives.set_param_by_name("order", order)
+        self._launch_derivatives.launch()
+        return self._gradients.copy()
