@@ -26,7 +26,7 @@ from toile.fitting.terms.texture_points import PointTermValue, TexturePointTerm
 from toile.fitting.terms.tracked_positions import TrackedPositionTerm
 from toile.simulators.base import StepStatus
 from toile.simulators.implicit.linearized import LinearizedRollout
-from toile.simulators.implicit.simulator import ImplicitSimulator
+from toile.simulators.linearizable import LinearizableSimulator
 from toile.simulators.rollout import Rollout, rollout
 
 Array = NDArray[np.float64]
@@ -72,7 +72,7 @@ def state_at(reconstruction: Reconstruction, substep_positions: Array | None, fr
     past = torch.from_numpy(
         np.stack([substep_positions[max(index - k, 0)] for k in range(simulator.n_past + 1)])
     )
-    # Velocities follow from the past positions; the implicit simulator reads only those.
+    # Velocities follow from the past positions; simulators of implicit steps read only those.
     velocity = (past[0] - past[1]) / simulator.time_step
     return State(past[0][None], velocity[None], past[None, 1:], steps=index)
 
@@ -93,7 +93,7 @@ def minimise_window(
     """Lower J by a few Gauss-Newton iterations and write the result into the parameters.
 
     Args:
-        reconstruction: see Reconstruction; its simulator must be the implicit one.
+        reconstruction: see Reconstruction; its simulator must be a LinearizableSimulator.
         unknowns: free parameters of the window.
         term: what the motion is compared with.
         visibility: frame positions (n, N, 3) -> visible points (n, P), or None if all are.
@@ -104,9 +104,9 @@ def minimise_window(
         cg_tolerance: its residual relative to the gradient.
     """
     simulator = reconstruction.simulator
-    if not isinstance(simulator, ImplicitSimulator):
+    if not isinstance(simulator, LinearizableSimulator):
         raise TypeError(
-            f"Gauss-Newton needs the implicit simulator's factorisations, got {type(simulator).__name__}"
+            f"Gauss-Newton needs a simulator that linearises its steps, got {type(simulator).__name__}"
         )
     first = unknowns.first
     template = reconstruction.template.numpy()[simulator.cloth.held.numpy()]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toile.simulators.implicit.newton import Linearization
-from toile.simulators.implicit.simulator import ImplicitSimulator
+from toile.simulators.linearizable import LinearizableSimulator
 from toile.simulators.rollout import Rollout
 
 Array = NDArray[np.float64]
@@ -49,7 +49,7 @@ class LinearizedRollout:
         scene: index in the batch.
     """
 
-    def __init__(self, simulator: ImplicitSimulator, rollout: Rollout, scene: int = 0) -> None:
+    def __init__(self, simulator: LinearizableSimulator, rollout: Rollout, scene: int = 0) -> None:
         self.simulator = simulator
         self.substeps = rollout.substeps
         self.steps: list[Linearization] = [step.linearization[scene] for step in rollout.steps]
@@ -67,7 +67,7 @@ class LinearizedRollout:
 
     @property
     def exact(self) -> bool:
-        """Whether every derivative is exact; not so where a step ended at a saddle (see linearise)."""
+        """Whether every derivative is exact; see Linearization."""
         return all(step.exact for step in self.steps)
 
     def tangent(self, change: Perturbation) -> Array:

@@ -64,15 +64,15 @@ class NewtonSettings:
 
 @dataclass(frozen=True)
 class Linearization:
-    """Derivatives of one converged step at its solution, in the vertices' own order unless stated.
+    """Derivatives of one step at its solution, in the vertices' own order unless stated.
 
     Attributes:
         factor: Cholesky factor of the Hessian of Φ over the free vertices (band order), 1 at held ones.
         coupling: (3 n_held, 3N) ∂²E/∂x_held∂x_free.
         unit_gradients: (3, N, 3) gradients of e_Y, e_S and e_B.
         inertia: (N,) masses / (β h)².
-        exact: whether the Hessian is the exact one; if not, the solution is a saddle and the derivatives are
-            approximate.
+        exact: whether the Hessian is the exact one at the solution. If not, the derivatives are approximate:
+            the solution is a saddle, or the factor was made on the way to it.
     """
 
     factor: BandedCholesky
@@ -105,6 +105,7 @@ def minimise_incremental_potential(
     settings: NewtonSettings,
     *,
     linearize: bool,
+    fresh_linearization: bool = True,
 ) -> StepSolution:
     """Minimise Φ over the free vertices.
 
@@ -119,6 +120,8 @@ def minimise_incremental_potential(
         force_scale: force that ``tolerance`` is relative to [N].
         settings: see NewtonSettings.
         linearize: also return the derivatives at the solution.
+        fresh_linearization: with a Hessian of their own. If not, that of the last iteration serves once more
+            where it is the exact one; it was made where the iteration began.
     """
     free = assembly.free
     # No force is known better than the rounding of the inertial one; a tolerance below is out of reach.
@@ -145,6 +148,8 @@ def minimise_incremental_potential(
     x, value = starts[best], float(values[best])
     unit_gradients = assembly.gradients(x)
     residual = residual_of(unit_gradients, x)
+    factor: BandedCholesky | None = None
+    coupling: Array | None = None
     level = 0
     iteration = 0
     status = StepStatus.CONVERGED
@@ -158,7 +163,7 @@ def minimise_incremental_potential(
             status = StepStatus.MAX_ITERATIONS
             break
         iteration += 1
-        factor, level = _regularised_factor(assembly, x, stiffness, inertia, level)
+        factor, coupling, level = _regularised_factor(assembly, x, stiffness, inertia, level)
         if factor is None:
             status = StepStatus.LINE_SEARCH_FAILED
             break
@@ -198,21 +203,26 @@ def minimise_incremental_potential(
             x, value, unit_gradients, residual = trial, trial_value, trial_gradients, trial_residual
         level = max(min(level, len(_PROJECTED_SHARES) - 1) - 1, 0)
     linearization = None
-    if linearize:
+    if linearize and not fresh_linearization and factor is not None and coupling is not None:
+        linearization = Linearization(factor, coupling, unit_gradients, inertia, exact=False)
+    elif linearize:
         linearization = linearise(assembly, x, unit_gradients, stiffness, inertia)
     return StepSolution(x, status, iteration, float(np.abs(residual).max(initial=0.0)), linearization)
 
 
 def _regularised_factor(
     assembly: Assembly, x: Array, stiffness: Array, inertia: Array, level: int
-) -> tuple[BandedCholesky | None, int]:
-    """Factor of the Hessian of Φ at the first level of regularisation, from ``level`` on, that allows one."""
-    _, exact, _ = assembly.hessian(x, stiffness, convex=False)
+) -> tuple[BandedCholesky | None, Array | None, int]:
+    """Factor of the Hessian of Φ at the first level of regularisation, from ``level`` on, that allows one.
+
+    The coupling to the held vertices comes with it where the level is 0: the exact Hessian.
+    """
+    _, exact, coupling = assembly.hessian(x, stiffness, convex=False)
     if level == 0:
         assembly.add_diagonal(exact, inertia)
         factor = BandedCholesky.factorise(exact)
         if factor is not None:
-            return factor, 0
+            return factor, coupling, 0
         _, exact, _ = assembly.hessian(x, stiffness, convex=False)
         level = 1
     _, added, _ = assembly.hessian(x, stiffness, convex=True)
@@ -227,9 +237,9 @@ def _regularised_factor(
         assembly.add_diagonal(band, inertia * (1 + damping))
         factor = BandedCholesky.factorise(band)
         if factor is not None:
-            return factor, level
+            return factor, None, level
         level += 1
-    return None, level
+    return None, None, level
 
 
 def linearise(

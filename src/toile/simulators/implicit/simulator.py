@@ -13,7 +13,7 @@ from torch.autograd.function import once_differentiable
 from toile.cloth.cloth import Cloth
 from toile.cloth.material import Material
 from toile.cloth.state import State
-from toile.simulators.base import Simulator, StepResult
+from toile.simulators.base import StepResult
 from toile.simulators.implicit.assembly import Assembly
 from toile.simulators.implicit.integrators import Formula, Integrator
 from toile.simulators.implicit.newton import (
@@ -22,11 +22,12 @@ from toile.simulators.implicit.newton import (
     linearise,
     minimise_incremental_potential,
 )
+from toile.simulators.linearizable import LinearizableSimulator
 
 STANDARD_GRAVITY = 9.81
 
 
-class ImplicitSimulator(Simulator):
+class ImplicitSimulator(LinearizableSimulator):
     """Backward Euler or BDF2 with a converged Newton solve in every step, on the CPU in float64.
 
     Args:
@@ -34,6 +35,9 @@ class ImplicitSimulator(Simulator):
         time_step: h [s].
         integrator: see integrators.
         newton: see NewtonSettings.
+
+    Attributes:
+        force_scale: weight of an interior vertex [N], which tolerances are fractions of.
     """
 
     def __init__(
@@ -49,7 +53,7 @@ class ImplicitSimulator(Simulator):
         self.assembly = Assembly(
             cloth.stencils, cloth.rest_lengths.numpy(), cloth.rest_corner_angles.numpy(), cloth.held.numpy()
         )
-        self._force_scale = float(cloth.masses.max()) * STANDARD_GRAVITY
+        self.force_scale = float(cloth.masses.max()) * STANDARD_GRAVITY
 
     def step(
         self,
@@ -72,10 +76,10 @@ class ImplicitSimulator(Simulator):
         weights = torch.tensor(formula.prediction, dtype=history.dtype)
         prediction = (weights[None, :, None, None] * history[:, : self.integrator.history]).sum(1)
         stiffness = torch.stack((material.stretching, material.shearing, material.bending), -1)
-        start = self._guesses(history, guess)
+        starts = self._starts(state, material, forces, anchors, guess)
         solutions: list[StepSolution] = []
         positions: Tensor = _ImplicitStep.apply(
-            self, self._inertia(formula), solutions, linearize, start, prediction, stiffness, forces, anchors
+            self, self._inertia(formula), solutions, linearize, starts, prediction, stiffness, forces, anchors
         )
         new_history = torch.cat((positions[:, None], history), dim=1)[:, : self.n_past + 1]
         d = torch.tensor(formula.velocity, dtype=history.dtype)
@@ -119,15 +123,42 @@ class ImplicitSimulator(Simulator):
                     f"got {tensor.dtype} of shape {tuple(tensor.shape)} on {tensor.device}"
                 )
 
-    def _guesses(self, history: Tensor, guess: Tensor | None) -> Tensor:
-        """Candidate starts of Newton's method, (B, G, N, 3): extrapolated past and warm start."""
-        past = history.detach()
-        candidates = [2 * past[:, 0] - past[:, 1]]
-        if past.shape[1] > 2:
-            candidates.append(3 * past[:, 0] - 3 * past[:, 1] + past[:, 2])
+    def _starts(
+        self, state: State, material: Material, forces: Tensor, anchors: Tensor, guess: Tensor | None
+    ) -> Tensor:
+        """Candidate starts of Newton's method, (B, G, N, 3), detached: extrapolated past and warm start."""
+        now, past = state.positions.detach(), state.past.detach()
+        candidates = [2 * now - past[:, 0]]
+        if past.shape[1] > 1:
+            candidates.append(3 * now - 3 * past[:, 0] + past[:, 1])
         if guess is not None:
             candidates.append(guess.detach())
         return torch.stack(candidates, 1)
+
+    def _minimise(
+        self,
+        starts: NDArray[np.float64],
+        prediction: NDArray[np.float64],
+        anchors: NDArray[np.float64],
+        forces: NDArray[np.float64],
+        stiffness: NDArray[np.float64],
+        inertia: NDArray[np.float64],
+        *,
+        linearize: bool,
+    ) -> StepSolution:
+        """The step of one scene; arguments as in minimise_incremental_potential."""
+        return minimise_incremental_potential(
+            self.assembly,
+            starts,
+            prediction,
+            anchors,
+            forces,
+            stiffness,
+            inertia,
+            self.force_scale,
+            self.newton,
+            linearize=linearize,
+        )
 
 
 class _ImplicitStep(torch.autograd.Function):
@@ -140,7 +171,7 @@ class _ImplicitStep(torch.autograd.Function):
         inertia: NDArray[np.float64],
         solutions: list[StepSolution],
         linearize: bool,
-        guesses: Tensor,
+        starts: Tensor,
         prediction: Tensor,
         stiffness: Tensor,
         forces: Tensor,
@@ -148,16 +179,13 @@ class _ImplicitStep(torch.autograd.Function):
     ) -> Tensor:
         for b in range(prediction.shape[0]):
             solutions.append(
-                minimise_incremental_potential(
-                    simulator.assembly,
-                    guesses[b].numpy(),
+                simulator._minimise(
+                    starts[b].numpy(),
                     prediction[b].detach().numpy(),
                     anchors[b].detach().numpy(),
                     forces[b].detach().numpy(),
                     stiffness[b].detach().numpy(),
                     inertia,
-                    simulator._force_scale,
-                    simulator.newton,
                     linearize=linearize,
                 )
             )
