@@ -19,7 +19,7 @@ export MKL_NUM_THREADS ?= 1
 
 .PHONY: help
 help: ## List the targets
-	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-15s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 .PHONY: setup
 setup: $(READY) ## Make .venv with the pinned packages and toile itself
@@ -58,6 +58,10 @@ bench: setup ## Measure speed and accuracy
 .PHONY: results
 results: setup ## Reproduce the table of the README (needs the recordings in TOILE_DATA)
 	$(BIN)/python benchmarks/results.py
+
+.PHONY: train-surrogate
+train-surrogate: setup ## Train the neural surrogate on the CPU
+	$(BIN)/toile train training=cpu
 
 .PHONY: dashboard
 dashboard: setup ## Show the runs in outputs/ in TensorBoard

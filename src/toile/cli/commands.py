@@ -27,6 +27,7 @@ COMMANDS = {
         "toile.cli.export", "write a run for other programs", "run=<run folder> format=usd|glb|obj|ply"
     ),
     "generate": Command("toile.cli.generate", "make a synthetic scene with ground truth", ""),
+    "train": Command("toile.cli.train", "train the neural surrogate of a step", "training=cpu"),
     "doctor": Command("toile.cli.doctor", "look for what is wrong with a scene", "scene=R1"),
 }
 

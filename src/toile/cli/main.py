@@ -15,6 +15,8 @@ from toile import __version__
 from toile.cli.commands import COMMANDS, overview
 
 USAGE_ERROR = 2
+RESUMABLE = {"fit": "fit", "train": "training"}
+"""Commands that take ``resume=<run folder>``, and what such a folder holds."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -57,11 +59,11 @@ def _run(name: str, arguments: Sequence[str]) -> int:
 
     register_resolvers()
     full = os.environ.get(FULL_ERROR_VARIABLE) == "1"
-    if name == "fit":
+    if name in RESUMABLE:
         from toile.cli.resume import resume_arguments
 
         try:
-            arguments = resume_arguments(arguments)
+            arguments = resume_arguments(arguments, RESUMABLE[name])
         except Exception as error:
             return _report(error, full)
     task = _reporting(importlib.import_module(COMMANDS[name].module).run, full)

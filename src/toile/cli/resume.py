@@ -1,4 +1,4 @@
-"""Continuing an interrupted fit."""
+"""Continuing an interrupted fit or training."""
 
 from __future__ import annotations
 
@@ -13,17 +13,21 @@ from toile.fitting.callbacks.checkpoint import CycleCheckpoint
 from toile.reports.run_folder import RunFolder, read_config
 
 _KEY = "resume"
-# Parts of a configuration that may differ between the two halves of a fit: they leave the result alone.
-_FREE = ("trainer", "logger", "callbacks", "paths", "report")
+# Parts of a configuration that may differ between the two halves of a run: they leave the result alone.
+_FREE = ("trainer", "logger", "callbacks", "paths", "report", "max_minutes")
 
 
-def resume_arguments(arguments: Sequence[str]) -> list[str]:
+def resume_arguments(arguments: Sequence[str], what: str) -> list[str]:
     """Replace ``resume=<run folder>`` by the arguments that the run was started with.
 
     Arguments beside it are added to them.
 
+    Args:
+        arguments: of the command line.
+        what: "fit" or "training", for messages.
+
     Raises:
-        InputError: the folder holds no fit, or nothing to continue from.
+        InputError: the folder holds no run, or nothing to continue from.
     """
     folders = [Path(a.partition("=")[2]) for a in arguments if a.partition("=")[0] == _KEY]
     if not folders:
@@ -32,7 +36,7 @@ def resume_arguments(arguments: Sequence[str]) -> list[str]:
     record = folder / ".hydra" / "overrides.yaml"
     if not record.is_file() or not checkpoint_path(RunFolder(folder)).is_file():
         raise InputError(
-            "There is no fit to continue",
+            f"There is no {what} to continue",
             where=str(folder),
             expected=f"a run folder with .hydra/overrides.yaml and checkpoints/{CycleCheckpoint.NAME}",
             got="no such folder" if not folder.is_dir() else "a folder without one of them",
@@ -43,19 +47,19 @@ def resume_arguments(arguments: Sequence[str]) -> list[str]:
 
 
 def checkpoint_path(folder: RunFolder) -> Path:
-    """Where the last checkpoint of a fit is, if it has one."""
+    """Where the last checkpoint of a run is, if it has one."""
     return folder.path / "checkpoints" / CycleCheckpoint.NAME
 
 
 def last_checkpoint(folder: RunFolder, config: str) -> Path | None:
-    """Checkpoint to continue from, or None for a new fit.
+    """Checkpoint to continue from, or None for a new run.
 
     Args:
         folder: of the run; it may hold an interrupted one.
         config: resolved configuration of this run, YAML text.
 
     Raises:
-        InputError: the folder holds a fit with another configuration.
+        InputError: the folder holds a run with another configuration.
     """
     path = checkpoint_path(folder)
     if not path.is_file():
@@ -64,7 +68,7 @@ def last_checkpoint(folder: RunFolder, config: str) -> Path | None:
     changed = sorted(key for key in before.keys() | now.keys() if before.get(key) != now.get(key))
     if changed:
         raise InputError(
-            "The folder holds a fit with other settings",
+            "The folder holds a run with other settings",
             where=str(folder.path),
             expected="the settings it was started with, or another hydra.run.dir",
             got="; ".join(f"{key}: {now.get(key)} instead of {before.get(key)}" for key in changed),

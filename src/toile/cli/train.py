@@ -1,0 +1,125 @@
+"""``toile train training=cpu``: train the neural surrogate of a time step."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import torch
+from lightning import Trainer
+from omegaconf import DictConfig
+
+from toile.cli.configuration import instantiate, output_folder, resolved_yaml
+from toile.cli.machine import machine
+from toile.cli.resume import last_checkpoint
+from toile.cli.terminal import print_path
+from toile.fitting.quiet import quiet_lightning
+from toile.reports.figures import save_figure
+from toile.reports.run_folder import (
+    RunFolder,
+    create_run_folder,
+    current_git_revision,
+    write_config,
+    write_git_revision,
+    write_history,
+    write_metrics,
+)
+from toile.simulators.surrogate.surrogate import Surrogate
+from toile.simulators.surrogate.weights import save_weights
+from toile.training.callbacks.stopping import StopBetweenSteps
+from toile.training.module import SurrogateTraining
+from toile.training.pictures import residual_curve
+from toile.training.settings import TrainingSettings
+from toile.training.steps import Steps
+
+log = logging.getLogger(__name__)
+
+WEIGHTS = "surrogate.pt"
+"""Averaged weights in the run folder."""
+
+
+def run(cfg: DictConfig) -> None:
+    """Train, and fill the run folder; an interrupted run leaves what it has and can be continued."""
+    quiet_lightning()
+    folder = create_run_folder(output_folder())
+    config = resolved_yaml(cfg)
+    checkpoint = last_checkpoint(folder, config)
+    settings: TrainingSettings = instantiate(cfg.training)
+    torch.manual_seed(cfg.seed)
+    module = SurrogateTraining(Surrogate(settings.widths), settings, cfg.seed)
+    stop = StopBetweenSteps(cfg.max_minutes)
+    trainer = build_trainer(cfg, stop)
+    if trainer.is_global_zero:
+        write_config(folder, config)
+        write_git_revision(folder)
+    if checkpoint is not None:
+        log.info("continuing from %s", checkpoint)
+    with _restartable_command():
+        trainer.fit(module, Steps(module), ckpt_path=checkpoint, weights_only=True)
+    if not trainer.is_global_zero:
+        return
+    write_results(folder, cfg, module)
+    if not module.finished:
+        reason = "interrupted" if stop.interrupted else f"{stop.minutes:g} minutes are over"
+        print_path(folder.path, f": stopped after {module.steps_done} of {settings.n_steps} steps, {reason}")
+        more = "" if stop.interrupted else " max_minutes=<more, or null>"
+        print_path(f"toile train resume={folder.path}{more}", " continues")
+        if stop.interrupted:
+            raise KeyboardInterrupt
+    print_path(folder.path / WEIGHTS)
+
+
+def build_trainer(cfg: DictConfig, stop: StopBetweenSteps) -> Trainer:
+    """The trainer with the configured callbacks; what may stop it comes first."""
+    callbacks = [stop, *(c for c in instantiate(cfg.callbacks).values() if c is not None)]
+    logger: Any = instantiate(cfg.logger) if cfg.get("logger") else False
+    trainer: Trainer = instantiate(cfg.trainer)(callbacks=callbacks, logger=logger)
+    return trainer
+
+
+def write_results(folder: RunFolder, cfg: DictConfig, module: SurrogateTraining) -> None:
+    """Write the averaged weights, the history, and what the last validation has shown."""
+    last = module.history[-1] if module.history else {}
+    description = {
+        "training": str(cfg.training_name),
+        "grid": "x".join(map(str, module.settings.pool.grid)),
+        "steps": f"{module.steps_done} of {module.settings.n_steps}",
+        "minutes": f"{module.seconds / 60:.1f}",
+        "seed": str(module.seed),
+        "git revision": current_git_revision(),
+        "validation residual, median": f"{last.get('validation residual/median', float('nan')):.4g}",
+    }
+    save_weights(folder.path / WEIGHTS, module.average.surrogate, description)
+    if module.history:
+        write_history(folder, pd.DataFrame(module.history))
+    if module.validation is not None:
+        save_figure(residual_curve(module.validation), folder.figures / "validation.png")
+    numbers = {name: value for name, value in last.items() if abs(value) < float("inf")}
+    write_metrics(
+        folder,
+        {
+            "training": {
+                "steps": module.steps_done,
+                "steps of the whole run": module.settings.n_steps,
+                "seconds": module.seconds,
+                "last epoch": numbers,
+            },
+            "machine": machine(),
+        },
+    )
+
+
+@contextmanager
+def _restartable_command() -> Iterator[None]:
+    """Lightning starts further processes by repeating the command; show it one that can be repeated."""
+    before = sys.argv
+    sys.argv = [str(Path(sys.executable).with_name("toile")), "train", *before[1:]]
+    try:
+        yield
+    finally:
+        sys.argv = before

@@ -1,0 +1,40 @@
+"""Progress of a training run on the terminal."""
+
+from __future__ import annotations
+
+import logging
+from typing import Any, final
+
+from lightning import Callback, LightningModule, Trainer
+
+from toile.training.module import SurrogateTraining
+
+log = logging.getLogger(__name__)
+
+
+@final
+class EpochLines(Callback):
+    """One line per epoch."""
+
+    def on_train_batch_end(
+        self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
+    ) -> None:
+        """Write the line after the last step of an epoch."""
+        assert isinstance(pl_module, SurrogateTraining)
+        if not (pl_module.at_epoch_end and trainer.is_global_zero):
+            return
+        row, passes = pl_module.history[-1], pl_module.settings.n_passes
+        log.info(
+            "epoch %d of %d: residual %.3g (0.9: %.3g), accepted %.0f %%, validation %.3g (0.9: %.3g), "
+            "age %.0f, rate %.2g, %.1f min",
+            pl_module.epochs_done,
+            pl_module.settings.epochs,
+            row[f"pass {passes}/residual 0.5"],
+            row[f"pass {passes}/residual 0.9"],
+            100 * row[f"pass {passes}/accepted"],
+            row["validation residual/median"],
+            row["validation residual/0.9"],
+            row["pool age/mean"],
+            pl_module.measures["learning rate"],
+            pl_module.seconds / 60,
+        )

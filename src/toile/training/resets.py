@@ -1,0 +1,79 @@
+"""When a cloth of the pool is replaced by a new one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from toile.training.distributions import uniform
+
+
+class Resets(NamedTuple):
+    """Which of B cloths to replace, (B,) bool each, by the first reason that holds."""
+
+    diverged: Tensor
+    old: Tensor
+    random: Tensor
+
+    @property
+    def any(self) -> Tensor:
+        """All of them, (B,) bool."""
+        return self.diverged | self.old | self.random
+
+
+@dataclass(frozen=True)
+class ResetRules:
+    """Limits beyond which a cloth no longer teaches anything.
+
+    Attributes:
+        residual: mean out-of-balance force / mean external force (paper: "if the physics-based loss of a
+            sample becomes too high").
+        extent: distance of a coordinate from the centroid, in grid spacings.
+        probability: of a reset for no reason, per step of a cloth (paper: "from time to time").
+    """
+
+    residual: float
+    extent: float
+    probability: float
+
+    def apply(
+        self,
+        positions: Tensor,
+        residual: Tensor,
+        age: Tensor,
+        longest: int | None,
+        generator: torch.Generator,
+    ) -> Resets:
+        """Decide.
+
+        Args:
+            positions: (B, H, W, 3), after the step.
+            residual: (B,), relative.
+            age: (B,), steps since the start, this one included.
+            longest: age from which a cloth is too old, None for no limit.
+            generator: of the random resets.
+        """
+        extent = (positions - positions.mean((1, 2), keepdim=True)).abs().amax((1, 2, 3))
+        # Written so that NaN counts as diverged.
+        diverged = ~((residual <= self.residual) & (extent <= self.extent))
+        too_old = torch.zeros_like(diverged) if longest is None else age >= longest
+        old = too_old & ~diverged
+        chance = uniform(len(positions), generator) < self.probability
+        return Resets(diverged, old, chance & ~diverged & ~old)
+
+
+def relative_residual(residual: Tensor, forces: Tensor) -> Tensor:
+    """Mean length of the out-of-balance force / mean length of the external force.
+
+    Args:
+        residual: (..., H, W, 3).
+        forces: (..., H, W, 3).
+
+    Returns:
+        (...,), without unit.
+    """
+    mean = residual.norm(dim=-1).mean((-1, -2))
+    return mean / forces.norm(dim=-1).mean((-1, -2)).clamp(min=1e-12)
