@@ -54,6 +54,14 @@ class Interrupt(Crash):
             signal.raise_signal(signal.SIGINT)
 
 
+class InterruptFirst(Interrupt):
+    """Presses Ctrl-C in step n, in one process only."""
+
+    def on_train_batch_start(self, trainer: Any, pl_module: Any, batch: Any, batch_idx: int) -> None:
+        if trainer.is_global_zero:
+            super().on_train_batch_start(trainer, pl_module, batch, batch_idx)
+
+
 def train(
     module: SurrogateTraining, *callbacks: Callback, checkpoint: Path | None = None, **trainer: Any
 ) -> SurrogateTraining:
@@ -241,3 +249,28 @@ def test_two_processes_share_weights_but_no_cloths(make_training: MakeTraining, 
     assert len(pools) == 2
     for stored, result in zip(pools, (a, b), strict=True):
         assert torch.equal(stored["states"]["history"], result["pool"]["states"]["history"])
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="starts the processes by forking")
+def test_two_processes_stop_together_and_continue_bit_for_bit(
+    make_training: MakeTraining, tmp_path: Path
+) -> None:
+    def run(folder: str, *callbacks: Callback, checkpoint: Path | None = None) -> dict[str, Any]:
+        saving = StepCheckpoint(tmp_path / folder, every=100)
+        strategy = DDPStrategy(start_method="fork", process_group_backend="gloo")
+        module = make_training(epochs=2, steps_per_epoch=2)
+        train(module, *callbacks, saving, checkpoint=checkpoint, devices=2, strategy=strategy)
+        stored: dict[str, Any] = torch.load(saving.path, weights_only=True)
+        return stored
+
+    whole = run("whole")
+    half = run("half", InterruptFirst(1), StopBetweenSteps(None))
+    assert half["toile_training"]["steps_done"] == 2
+    resumed = run("half", checkpoint=tmp_path / "half" / StepCheckpoint.NAME)
+    assert resumed["toile_training"]["steps_done"] == 4
+    for name, value in whole["state_dict"].items():
+        assert torch.equal(value, resumed["state_dict"][name]), name
+    pools = (stored["toile_training"]["pools"] for stored in (whole, resumed))
+    for a, b in zip(*pools, strict=True):
+        for name, tensor in a["states"].items():
+            assert torch.equal(tensor, b["states"][name]), name
