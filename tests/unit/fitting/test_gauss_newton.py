@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from toile.cloth.cloth import Cloth
 from toile.fitting.gauss_newton import conjugate_gradients
 from toile.fitting.gauss_newton.recipe import GrowingWindows, SlidingWindows, Stage, TrackingRecipe
 from toile.fitting.gauss_newton.unknowns import Priors, WindowUnknowns
@@ -17,6 +18,8 @@ from toile.fitting.terms.texture_points import PointTermSettings
 from toile.fitting.terms.tracked_positions import PositionTermSettings, TrackedPositionTerm
 from toile.rendering import WarpRenderer
 from toile.scenes.scene import Scene
+from toile.simulators.base import Simulator, StepResult
+from toile.simulators.hybrid.simulator import HybridSimulator
 from toile.simulators.implicit.integrators import BDF2
 from toile.simulators.implicit.newton import NewtonSettings
 from toile.simulators.implicit.simulator import ImplicitSimulator
@@ -153,8 +156,20 @@ def test_tracking_follows_the_motion(problem: Reconstruction) -> None:
     assert torch.equal(again.positions[0], positions)
 
 
-def test_stiffness_and_wind_from_exact_positions(problem: Reconstruction) -> None:
+def hybrid(problem: Reconstruction) -> HybridSimulator:
+    """Two corrections of what an early end of Newton's method gives."""
+
+    def predictor(cloth: Cloth, step: float) -> Simulator:
+        return ImplicitSimulator(cloth, step, BDF2(), NewtonSettings(tolerance=0.1))
+
+    return HybridSimulator(problem.cloth, problem.simulator.time_step, BDF2(), predictor)
+
+
+@pytest.mark.parametrize("simulator", ["implicit", "hybrid"])
+def test_stiffness_and_wind_from_exact_positions(problem: Reconstruction, simulator: str) -> None:
     """Positions that the simulator itself made, from other stiffnesses and wind: found again."""
+    if simulator == "hybrid":
+        problem.simulator = hybrid(problem)
     p, n = problem.parameters, problem.scene.n_frames
     wind = torch.tensor([0.5, 0.0, 2.0], dtype=torch.float64)
     with torch.no_grad():
@@ -182,6 +197,19 @@ def test_stiffness_and_wind_from_exact_positions(problem: Reconstruction) -> Non
     assert p.stretching.item() == pytest.approx(3000.0, rel=1e-4)
     assert p.shearing.item() == pytest.approx(10.0, rel=1e-4)
     assert p.bending.item() == pytest.approx(0.5, rel=1e-4)
+
+
+def test_a_simulator_without_derivatives_of_its_steps_is_told(problem: Reconstruction) -> None:
+    class Frozen(Simulator):
+        time_step, n_past = problem.simulator.time_step, problem.simulator.n_past
+
+        def step(self, *_: object, **__: object) -> StepResult:
+            raise AssertionError("not reached")
+
+    problem.simulator = Frozen()
+    recipe = TrackingRecipe({"track": stage(IMAGES, TURBULENCE)})
+    with pytest.raises(TypeError, match="simulator that linearises its steps, got Frozen"):
+        run(problem, recipe)
 
 
 def test_a_stage_that_matches_positions_needs_one_that_tracks(problem: Reconstruction) -> None:
