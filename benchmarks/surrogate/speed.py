@@ -1,0 +1,108 @@
+"""Time of a step, alone and in batches, beside the converged solver in the same run."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pandas as pd
+import torch
+from torch import Tensor
+
+from surrogate.cases import FIRST_SEED, Case, fits_case
+from surrogate.contenders import SOLVER, Build, solver
+from surrogate.saddles import Saddles
+from toile.cloth.material import Material
+from toile.cloth.state import State
+from toile.simulators.linearizable import LinearizableSimulator
+
+WARM_UP = 20  # steps by the solver from rest to the state where the clock starts
+STEPS = 5  # under the clock, one after the other
+_FIRST_SEED = FIRST_SEED["fits"] + 600_000
+
+
+@torch.no_grad()
+def speed(
+    contenders: dict[str, Build], batches: list[int], grid: tuple[int, int], repeats: int
+) -> pd.DataFrame:
+    """One row per batch size, contender and whether the steps leave their derivatives behind."""
+    n = max(batches)
+    # One cloth, as a simulator has; poses, materials and forces differ.
+    cases = [fits_case(_FIRST_SEED + b, grid, WARM_UP + STEPS, _FIRST_SEED) for b in range(n)]
+    first = cases[0]
+    exact = solver(first.cloth, first.time_step, first.integrator)
+    batch = _Batch(cases)
+    state = batch.start(exact.n_past)
+    for t in range(WARM_UP):
+        state = batch.step(exact, state, t)
+    rows: list[dict[str, object]] = []
+    for size in batches:
+        part, begin = batch.take(size), _take(state, size)
+        for linearize in (False, True):
+            simulators = {
+                name: build(first.cloth, first.time_step, first.integrator)
+                for name, build in {SOLVER: solver, **contenders}.items()
+            }
+            times: dict[str, list[float]] = {name: [] for name in simulators}
+            # In turn, so that a busy machine slows all of them alike; the first round warms up.
+            for turn in range(repeats + 1):
+                for name, simulator in simulators.items():
+                    started = time.perf_counter()
+                    with Saddles():
+                        _run(simulator, part, begin, linearize)
+                    if turn:
+                        times[name].append(1e3 * (time.perf_counter() - started) / STEPS)
+            reference = float(np.median(times[SOLVER]))
+            for name, measured in times.items():
+                low, median, high = np.percentile(measured, [25, 50, 75])
+                rows.append(
+                    {
+                        "batch": size,
+                        "linearize": linearize,
+                        "contender": name,
+                        "ms per step": median,
+                        "spread [ms]": (high - low) / 2,
+                        "solver / this": reference / median,
+                    }
+                )
+            print(f"  batch of {size}, linearize={linearize} done", flush=True)
+    return pd.DataFrame(rows)
+
+
+class _Batch:
+    """Several cases of one cloth."""
+
+    def __init__(self, cases: list[Case]) -> None:
+        self.cases = cases
+        self.forces = torch.cat([c.forces for c in cases])
+        self.anchors = torch.cat([c.anchors for c in cases])
+        materials = [c.material for c in cases]
+        self.material = Material(
+            torch.cat([m.stretching for m in materials]),
+            torch.cat([m.shearing for m in materials]),
+            torch.cat([m.bending for m in materials]),
+        )
+
+    def take(self, size: int) -> _Batch:
+        """The first ones."""
+        return _Batch(self.cases[:size])
+
+    def start(self, n_past: int) -> State:
+        """All at rest."""
+        positions: Tensor = torch.cat([c.positions for c in self.cases])
+        return State.start(positions, torch.zeros_like(positions), self.cases[0].time_step, n_past)
+
+    def step(self, simulator: LinearizableSimulator, state: State, t: int, keep: bool = False) -> State:
+        """Step number t."""
+        return simulator.step(
+            state, self.material, self.forces[:, t], self.anchors[:, t + 1], linearize=keep
+        ).state
+
+
+def _run(simulator: LinearizableSimulator, batch: _Batch, state: State, keep: bool) -> None:
+    for t in range(WARM_UP, WARM_UP + STEPS):
+        state = batch.step(simulator, state, t, keep)
+
+
+def _take(state: State, size: int) -> State:
+    return State(state.positions[:size], state.velocities[:size], state.past[:size], state.steps)
