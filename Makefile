@@ -63,6 +63,10 @@ results: setup ## Reproduce the table of the README (needs the recordings in TOI
 train-surrogate: setup ## Train the neural surrogate on the CPU
 	$(BIN)/toile train training=cpu
 
+.PHONY: surrogate-card
+surrogate-card: setup ## Measure the neural surrogate: docs/surrogate.md
+	$(BIN)/python benchmarks/surrogate_card.py
+
 .PHONY: dashboard
 dashboard: setup ## Show the runs in outputs/ in TensorBoard
 	$(BIN)/tensorboard --logdir outputs
