@@ -15,7 +15,7 @@ from toile.simulators.surrogate.surrogate import Pass, Surrogate
 from toile.training.average import AverageSurrogate
 from toile.training.energies import energies_by_term
 from toile.training.pool import Pool
-from toile.training.resets import Resets, relative_residual
+from toile.training.resets import Resets, mean_length, relative_residual
 from toile.training.settings import TrainingSettings
 from toile.training.validation import validation_rollout
 
@@ -172,7 +172,9 @@ class SurrogateTraining(LightningModule):
         length = settings.rollout_length
         resets = settings.resets.apply(
             last.positions,
-            relative_residual(last.residual, forces),
+            mean_length(last.residual),
+            mean_length(forces),
+            pool.states.stiffness[indices, 0],
             pool.states.age[indices],
             None if length is None else length.at(self.steps_done, settings.n_steps),
             pool.generator,

@@ -31,11 +31,14 @@ class ResetRules:
     Attributes:
         residual: mean out-of-balance force / mean external force (paper: "if the physics-based loss of a
             sample becomes too high").
+        strain: on top of it, mean out-of-balance force / stretching stiffness: what a stiff cloth answers to
+            a displacement that nobody sees is no reason.
         extent: distance of a coordinate from the centroid, in grid spacings.
         probability: of a reset for no reason, per step of a cloth (paper: "from time to time").
     """
 
     residual: float
+    strain: float
     extent: float
     probability: float
 
@@ -43,6 +46,8 @@ class ResetRules:
         self,
         positions: Tensor,
         residual: Tensor,
+        forces: Tensor,
+        stretching: Tensor,
         age: Tensor,
         longest: int | None,
         generator: torch.Generator,
@@ -51,14 +56,17 @@ class ResetRules:
 
         Args:
             positions: (B, H, W, 3), after the step.
-            residual: (B,), relative.
+            residual: mean length of the out-of-balance force, (B,).
+            forces: mean length of the external force, (B,).
+            stretching: Y, (B,).
             age: (B,), steps since the start, this one included.
             longest: age from which a cloth is too old, None for no limit.
             generator: of the random resets.
         """
         extent = (positions - positions.mean((1, 2), keepdim=True)).abs().amax((1, 2, 3))
         # Written so that NaN counts as diverged.
-        diverged = ~((residual <= self.residual) & (extent <= self.extent))
+        limit = self.residual * forces + self.strain * stretching
+        diverged = ~((residual <= limit) & (extent <= self.extent))
         too_old = torch.zeros_like(diverged) if longest is None else age >= longest
         old = too_old & ~diverged
         chance = uniform(len(positions), generator) < self.probability
@@ -75,5 +83,9 @@ def relative_residual(residual: Tensor, forces: Tensor) -> Tensor:
     Returns:
         (...,), without unit.
     """
-    mean = residual.norm(dim=-1).mean((-1, -2))
-    return mean / forces.norm(dim=-1).mean((-1, -2)).clamp(min=1e-12)
+    return mean_length(residual) / mean_length(forces).clamp(min=1e-12)
+
+
+def mean_length(vectors: Tensor) -> Tensor:
+    """Mean length of vectors (..., H, W, 3) over the cloth, (...,)."""
+    return vectors.norm(dim=-1).mean((-1, -2))

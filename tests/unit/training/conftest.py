@@ -44,7 +44,7 @@ TRAINING = TrainingSettings(
     average_decay=0.99,
     rollout_length=RolloutLength(2, 6, 0.5),
     pool=POOL,
-    resets=ResetRules(20.0, 200.0, 0.05),
+    resets=ResetRules(20.0, 0.002, 200.0, 0.05),
     validation=ValidationSettings(size=3, steps=2, n_passes=1, seed=1),
 )
 

@@ -125,7 +125,7 @@ def test_a_cloth_gets_no_older_than_the_rollout(make_training: MakeTraining) -> 
 
 
 def test_what_cannot_be_solved_is_reset(make_training: MakeTraining) -> None:
-    module = train(make_training(resets=ResetRules(0.0, 200.0, 0.0), rollout_length=None))
+    module = train(make_training(resets=ResetRules(0.0, 0.0, 200.0, 0.0), rollout_length=None))
     assert module.running_pool.states.age.max() == 0
     assert module.history[0]["resets/diverged"] == 4
 

@@ -167,19 +167,26 @@ def test_a_pool_of_another_grid_is_refused(make_pool: MakePool) -> None:
 
 
 def test_why_cloths_are_reset() -> None:
-    rules = ResetRules(residual=20.0, extent=50.0, probability=0.0)
+    rules = ResetRules(residual=20.0, strain=0.01, extent=50.0, probability=0.0)
+    forces, stretching = torch.ones(6), torch.full((6,), 100.0)
     positions = torch.randn(6, 6, 7, 3, generator=torch.Generator().manual_seed(0))
     positions[1, 0, 0, 0] = 100.0
     positions[2, 3, 3, 1] = torch.nan
     residual = torch.tensor([1.0, 1.0, 1.0, 30.0, torch.nan, 1.0])
     age = torch.tensor([1, 9, 1, 1, 1, 9])
-    resets = rules.apply(positions, residual, age, 9, torch.Generator())
+    resets = rules.apply(positions, residual, forces, stretching, age, 9, torch.Generator())
     assert resets.diverged.tolist() == [False, True, True, True, True, False]
+    stiff = rules.apply(positions, residual, forces, 20 * stretching, age, 9, torch.Generator())
+    assert stiff.diverged.tolist() == [False, True, True, False, True, False]
     assert resets.old.tolist() == [False, False, False, False, False, True]
     assert not resets.random.any()
     assert resets.any.tolist() == [False, True, True, True, True, True]
-    assert not rules.apply(positions[:1], residual[:1], age[1:2], None, torch.Generator()).any.any()
-    always = ResetRules(20.0, 50.0, 1.0).apply(positions, residual, age, None, torch.Generator())
+    assert not rules.apply(
+        positions[:1], residual[:1], forces[:1], stretching[:1], age[1:2], None, torch.Generator()
+    ).any.any()
+    always = ResetRules(20.0, 0.01, 50.0, 1.0).apply(
+        positions, residual, forces, stretching, age, None, torch.Generator()
+    )
     assert always.any.all()
 
 

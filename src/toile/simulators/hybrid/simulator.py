@@ -16,10 +16,12 @@ from toile.cloth.state import State
 from toile.simulators.base import Simulator, StepStatus
 from toile.simulators.implicit.integrators import Integrator
 from toile.simulators.implicit.newton import NewtonSettings, StepSolution, minimise_incremental_potential
-from toile.simulators.implicit.simulator import ImplicitSimulator
+from toile.simulators.linearizable import LinearizableSimulator
+
+Array = NDArray[np.float64]
 
 
-class HybridSimulator(ImplicitSimulator):
+class HybridSimulator(LinearizableSimulator):
     """Implicit steps with a bounded number of Hessians: predicted, then corrected.
 
     Newton's method starts from the predictor's positions, the extrapolated past or the guess, whichever has
@@ -61,7 +63,8 @@ class HybridSimulator(ImplicitSimulator):
             raise ValueError(f"corrections: expected 0 or more, got {corrections}")
         if largest_residual is not None and not largest_residual > 0:
             raise ValueError(f"largest_residual: expected a positive number or None, got {largest_residual}")
-        super().__init__(cloth, time_step, integrator, NewtonSettings(tolerance, corrections, max_halvings))
+        super().__init__(cloth, time_step, integrator)
+        self.newton = NewtonSettings(tolerance, corrections, max_halvings)
         self.predictor = predictor(cloth, time_step)
         if self.predictor.n_past != self.n_past:
             raise ValueError(
@@ -81,33 +84,32 @@ class HybridSimulator(ImplicitSimulator):
             candidates.append(guess)
         return torch.stack(candidates, 1)
 
-    def _minimise(
+    def _solve(
         self,
-        starts: NDArray[np.float64],
-        prediction: NDArray[np.float64],
-        anchors: NDArray[np.float64],
-        forces: NDArray[np.float64],
-        stiffness: NDArray[np.float64],
-        inertia: NDArray[np.float64],
+        starts: Array,
+        prediction: Array,
+        anchors: Array,
+        forces: Array,
+        stiffness: Array,
+        inertia: Array,
         *,
         linearize: bool,
-    ) -> StepSolution:
-        solution = minimise_incremental_potential(
-            self.assembly,
-            starts,
-            prediction,
-            anchors,
-            forces,
-            stiffness,
-            inertia,
-            self.force_scale,
-            self.newton,
-            linearize=linearize,
-            fresh_linearization=self.fresh_linearization,
-        )
-        if solution.status is not StepStatus.MAX_ITERATIONS or self._too_far(solution.residual):
-            return solution
-        return replace(solution, status=StepStatus.CONVERGED)
+    ) -> list[StepSolution]:
+        solutions = []
+        for scene in zip(starts, prediction, anchors, forces, stiffness, strict=True):
+            solution = minimise_incremental_potential(
+                self.assembly,
+                *scene,
+                inertia,
+                self.force_scale,
+                self.newton,
+                linearize=linearize,
+                fresh_linearization=self.fresh_linearization,
+            )
+            if solution.status is StepStatus.MAX_ITERATIONS and not self._too_far(solution.residual):
+                solution = replace(solution, status=StepStatus.CONVERGED)
+            solutions.append(solution)
+        return solutions
 
     def _too_far(self, residual: float) -> bool:
         return self.largest_residual is not None and residual > self.largest_residual * self.force_scale

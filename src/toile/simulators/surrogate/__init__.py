@@ -1,0 +1,1 @@
+"""A neural surrogate of the implicit step, learned from the equations alone."""
