@@ -60,12 +60,17 @@ results: setup ## Reproduce the table of the README (needs the recordings in TOI
 	$(BIN)/python benchmarks/results.py
 
 .PHONY: train-surrogate
-train-surrogate: setup ## Train the neural surrogate on the CPU
-	$(BIN)/toile train training=cpu
+train-surrogate: setup ## Train the neural surrogate on the CPU and put its weights into the package
+	$(BIN)/toile train training=cpu hydra.run.dir=outputs/surrogate
+	cp outputs/surrogate/surrogate.pt src/toile/simulators/surrogate/surrogate.pt
 
 .PHONY: surrogate-card
 surrogate-card: setup ## Measure the neural surrogate: docs/surrogate.md
 	$(BIN)/python benchmarks/surrogate_card.py
+
+.PHONY: simulators
+simulators: setup ## Fit R1 and a generated scene with solver, hybrid and surrogate
+	$(BIN)/python benchmarks/simulators.py
 
 .PHONY: dashboard
 dashboard: setup ## Show the runs in outputs/ in TensorBoard

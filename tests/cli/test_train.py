@@ -21,7 +21,7 @@ from toile.training.callbacks.checkpoint import StepCheckpoint
 from toile.training.module import SurrogateTraining
 
 Toile = Callable[..., Any]
-TINY = ("train", "training=tiny")
+TINY = ("train", "training=tiny", "threads=1")
 QUICK = (*TINY, "logger=none")
 
 
@@ -56,7 +56,7 @@ def test_a_run_folder_holds_everything(toile: Toile, tmp_path: Path) -> None:
     assert metrics["training"]["steps"] == 12
     assert metrics["training"]["last epoch"]["validation residual/median"] > 0
     assert list(load_weights(run.path / "surrogate.pt").network.widths) == [4, 8]
-    assert describe_weights(run.path / "surrogate.pt")["training"] == "tiny"
+    assert describe_weights(run.path / "surrogate.pt")["command"] == "toile train training=tiny"
     assert checkpoint_path(run).name == StepCheckpoint.NAME
     assert checkpoint_path(run).is_file()
 

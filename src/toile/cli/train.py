@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -50,6 +51,7 @@ def run(cfg: DictConfig) -> None:
     config = resolved_yaml(cfg)
     checkpoint = last_checkpoint(folder, config)
     settings: TrainingSettings = instantiate(cfg.training)
+    torch.set_num_threads(cfg.threads or os.cpu_count() or 1)
     torch.manual_seed(cfg.seed)
     module = SurrogateTraining(Surrogate(settings.widths), settings, cfg.seed)
     stop = StopBetweenSteps(cfg.max_minutes)
@@ -86,7 +88,8 @@ def write_results(folder: RunFolder, cfg: DictConfig, module: SurrogateTraining)
     """Write the averaged weights, the history, and what the last validation has shown."""
     last = module.history[-1] if module.history else {}
     description = {
-        "training": str(cfg.training_name),
+        "command": f"toile train training={cfg.training_name}",
+        "machine": "{processor}, {processors} cores, {threads} threads".format(**machine()),
         "grid": "x".join(map(str, module.settings.pool.grid)),
         "steps": f"{module.steps_done} of {module.settings.n_steps}",
         "minutes": f"{module.seconds / 60:.1f}",

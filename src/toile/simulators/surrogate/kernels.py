@@ -247,14 +247,15 @@ def tangential_relaxation_kernel(
         n = x.shape[2]
         n_lines = x.shape[1]
     stretching = stiffness[b][0]
-    shear = 8.0 * stiffness[b][1]
+    # Neighbouring lines are taken as fixed: shearing and in-plane bending across lines hold a vertex back.
+    crosswise = 8.0 * stiffness[b][1] + 10.0 * stiffness[b][2]
     if line == 0 or line == n_lines - 1:
-        shear = 2.0 * stiffness[b][1]
+        crosswise = 2.0 * stiffness[b][1] + 5.0 * stiffness[b][2]
     # work[..., 0 / 1 / 2]: diagonal, coupling to the next vertex, right-hand side.
     for k in range(n):
         t = tangent_of(x, axis, b, line, k, n)
         here = vertex_of(x, axis, b, line, k)
-        # Neighbouring lines are taken as fixed: their springs resist as far as they lie along the tangent.
+        # So do their springs as far as they lie along the tangent.
         across = wp.float32(0.0)
         if line > 0:
             e = difference(here, vertex_of(x, axis, b, line - 1, k))
@@ -267,7 +268,7 @@ def tangential_relaxation_kernel(
         if axis == 1:
             moves = free[b, line, k]
             m = masses[line, k]
-        work[b, line, k, 0] = moves * (m + shear + 2.0 * stretching * across) + 1.0 - moves
+        work[b, line, k, 0] = moves * (m + crosswise + 2.0 * stretching * across) + 1.0 - moves
         work[b, line, k, 1] = 0.0
         r = residual[b, k, line]
         if axis == 1:
@@ -380,8 +381,9 @@ def vertex_inputs_kernel(
     r_n = wp.dot(n, r)
     area = spacing * spacing
     pull = tension[b, i, j, 0]
-    in_plane = 1.0 + (2.0 * stiffness[b][0] + 4.0 * stiffness[b][1]) / area
-    normal = 1.0 + pull / area + 12.0 * stiffness[b][2] / (area * area)
+    bending = 12.0 * stiffness[b][2] / (area * area)
+    in_plane = 1.0 + (2.0 * stiffness[b][0] + 4.0 * stiffness[b][1]) / area + bending
+    normal = 1.0 + pull / area + bending
     out[b, i, j, 0] = r_u
     out[b, i, j, 1] = r_v
     out[b, i, j, 2] = r_n

@@ -119,9 +119,9 @@ class Surrogate(nn.Module):
         step = 1e-2 / (direction.flatten(1).norm(dim=1)[:, None, None, None] + 1e-9)
         ahead, behind = (problem.residual(moved + s * step * direction) for s in (1.0, -1.0))
         through = -r_settled - (ahead - behind) / (2 * step)
-        good = (total < 0) & _finite(through) & _finite(settled)
-        gradient = torch.where(_wide(good), through, -r_moved)
-        change = torch.where(good, total, own)
+        good = (total < 0) & _finite(settled)
+        change = torch.where(torch.isfinite(total), total, own)
+        gradient = torch.where(_wide(_finite(through)), through, -r_moved)
         scale = torch.maximum(change.abs(), _LEAST_SHARE * _local_gain(problem, r)) + 1e-12
         usable = torch.isfinite(scale) & _finite(gradient)
         gradient = torch.where(_wide(usable), gradient / _wide(scale), torch.zeros_like(gradient))

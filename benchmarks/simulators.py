@@ -1,0 +1,94 @@
+"""The same fits with the solver, the hybrid and the surrogate: accuracy and time side by side.
+
+    python benchmarks/simulators.py                    # R1 and a generated scene, seed 0
+    python benchmarks/simulators.py --seeds 0 1 2
+
+One fit after the other on one machine, so that the ratios mean something; finished runs are not run again.
+Writes docs/results/simulators.csv and simulators.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from results import ROOT, fit, machine, mean_of, toile
+
+# Name in the table and what selects it; the solver comes first, ratios are to it.
+CONTENDERS = {
+    "implicit (solver)": ["simulator=implicit"],
+    "hybrid, 2 passes + 1 Newton step": ["simulator=hybrid", "simulator.build.corrections=1"],
+    "hybrid, 2 passes + up to 2 Newton steps": ["simulator=hybrid"],
+    "surrogate, 2 passes": ["simulator=surrogate", "simulator.build.passes=2"],
+    "surrogate, 4 passes": ["simulator=surrogate", "simulator.build.passes=4"],
+}
+
+
+def row(scene: str, name: str, seed: int, folder: Path, metrics: dict[str, Any]) -> dict[str, Any]:
+    """One line of the table."""
+    return {
+        "scene": scene,
+        "simulator": name,
+        "seed": seed,
+        "chamfer x1e4 [m²]": mean_of(metrics, "chamfer"),
+        "vertex error [% of width]": mean_of(metrics, "vertex_error_percent"),
+        "silhouette IoU": mean_of(metrics, "silhouette_iou"),
+        "fit [s]": metrics["fit"]["seconds of the fit"],
+        "run": str(folder.relative_to(ROOT)),
+    }
+
+
+def measure(seeds: list[int], only: list[str] | None, outputs: Path) -> pd.DataFrame:
+    """Every scene with every simulator and seed."""
+    generated = outputs / "generated_scene"
+    if not (generated / "scene.json").exists():
+        toile("generate", f"folder={generated}", "settings.name=generated_scene")
+    scenes = {"R1": ["scene=R1"], "generated": [f"scene.name={generated}", "cloth/rest_lengths=uniform"]}
+    rows = []
+    for scene, selection in scenes.items():
+        for name, overrides in CONTENDERS.items():
+            if only and not any(word in name for word in only):
+                continue
+            for seed in seeds:
+                slug = "".join(c if c.isalnum() else "_" for c in f"{scene}_{name}_seed{seed}")
+                folder = outputs / slug
+                metrics = fit(selection, folder, seed, *overrides)
+                if metrics is not None:
+                    rows.append(row(scene, name, seed, folder, metrics))
+    return pd.DataFrame(rows)
+
+
+def with_ratios(table: pd.DataFrame) -> pd.DataFrame:
+    """Means over seeds, and how many times faster than the solver on the same scene."""
+    columns = ["chamfer x1e4 [m²]", "vertex error [% of width]", "silhouette IoU", "fit [s]"]
+    means = table.groupby(["scene", "simulator"], sort=False)[columns].mean().reset_index()
+    solver = means[means.simulator == next(iter(CONTENDERS))].set_index("scene")["fit [s]"]
+    means["times faster"] = means.scene.map(solver) / means["fit [s]"]
+    return means
+
+
+def main() -> None:
+    """See the module's text."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", nargs="*", type=int, default=[0])
+    parser.add_argument("--only", nargs="*", help="words that a contender's name must contain one of")
+    parser.add_argument("--outputs", type=Path, default=ROOT / "outputs" / "simulators")
+    options = parser.parse_args()
+    outputs = options.outputs.resolve()
+    outputs.mkdir(parents=True, exist_ok=True)
+    table = measure(options.seeds, options.only, outputs)
+    docs = ROOT / "docs" / "results"
+    docs.mkdir(parents=True, exist_ok=True)
+    table.to_csv(docs / "simulators.csv", index=False)
+    text = with_ratios(table).to_markdown(index=False, floatfmt=".3g")
+    where = machine(ROOT / table.run.iloc[0] / "metrics.json")
+    command = "`python benchmarks/simulators.py --seeds " + " ".join(map(str, options.seeds)) + "`"
+    text = f"{command}, on {where}; one fit after the other.\n\n{text}\n"
+    (docs / "simulators.md").write_text(text)
+    print(text)
+
+
+if __name__ == "__main__":
+    main()
