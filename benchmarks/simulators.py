@@ -19,10 +19,16 @@ from results import ROOT, fit, machine, mean_of, toile
 # Name in the table and what selects it; the solver comes first, ratios are to it.
 CONTENDERS = {
     "implicit (solver)": ["simulator=implicit"],
-    "hybrid, 2 passes + 1 Newton step": ["simulator=hybrid", "simulator.build.corrections=1"],
-    "hybrid, 2 passes + up to 2 Newton steps": ["simulator=hybrid"],
-    "surrogate, 2 passes": ["simulator=surrogate", "simulator.build.passes=2"],
-    "surrogate, 4 passes": ["simulator=surrogate", "simulator.build.passes=4"],
+    "no network, up to 2 Newton steps": ["simulator=hybrid", "simulator.build.predictor=null"],
+    "no network, 1 Newton step": [
+        "simulator=hybrid",
+        "simulator.build.predictor=null",
+        "simulator.build.corrections=1",
+    ],
+    "hybrid, 1 pass and 1 Newton step": ["simulator=hybrid", "simulator.build.corrections=1"],
+    "hybrid, 1 pass and up to 2 Newton steps": ["simulator=hybrid"],
+    "surrogate, 1 pass": ["simulator=surrogate", "simulator.build.passes=1"],
+    "surrogate, 2 passes": ["simulator=surrogate"],
 }
 
 

@@ -83,7 +83,7 @@ class Extent:
 FULL = Extent(
     grid=(32, 32),
     steps=50,
-    cases={"fits": 48, "box": 96, "corners": 24},
+    cases={"fits": 16, "box": 32, "corners": 12},
     stability=StabilitySettings(),
     seeds=3,
     batches=(1, 8, 32),

@@ -6,7 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from torch import Tensor
+import torch
+from torch import Tensor, nn
 
 from toile.cloth.cloth import Cloth
 from toile.simulators.hybrid.simulator import HybridSimulator
@@ -21,17 +22,27 @@ Build = Callable[[Cloth, float, Integrator], LinearizableSimulator]
 
 CONVERGED = NewtonSettings(tolerance=1e-6, max_iterations=200, max_halvings=12)
 EXTRAPOLATION = "extrapolation"
-RELAXATION = "extrapolation, lines relaxed"
+# About as long as two passes of the network take, with their own sweeps.
+LINE_SWEEPS = 12
+RELAXATION = f"no network, {LINE_SWEEPS} line sweeps"
 ONE_NEWTON_STEP = "one Newton step"
+TWO_NEWTON_STEPS = "up to two Newton steps"
 SOLVER = "solver"
 FLOOR = "solver, start moved by 1e-4 edges"
 HYBRID_CORRECTIONS = (1, 2)
 
 
+class _Silence(nn.Module):
+    """Stands in for the network: no displacement."""
+
+    def forward(self, problem: StepProblem, positions: Tensor, residual: Tensor) -> Tensor:
+        return torch.zeros_like(residual)
+
+
 class _NoNetwork:
     """Stands in for the network: the best start as it is."""
 
-    def solve(self, problem: StepProblem, n_passes: int) -> tuple[Tensor, Tensor]:
+    def solve(self, problem: StepProblem, n_passes: int, sweeps: int) -> tuple[Tensor, Tensor]:
         start = problem.best_start()
         return start, problem.residual(start)
 
@@ -47,44 +58,54 @@ def usual(passes: list[int]) -> int:
 
 
 def hybrid_label(passes: list[int], corrections: int) -> str:
-    """Name of the hybrid: the surrogate's usual passes, then Newton corrections."""
-    return f"{surrogate_label(usual(passes))}, then {corrections} Newton step" + (
-        "s" if corrections > 1 else ""
-    )
+    """Name of the hybrid: the fewest passes of the surrogate, then Newton corrections."""
+    return f"{surrogate_label(passes[0])}, then {corrections} Newton step" + ("s" if corrections > 1 else "")
 
 
 def contenders(weights: Path | None, passes: list[int]) -> dict[str, Build]:
     """All of them, by name."""
 
     def surrogate(n: int) -> Build:
-        return lambda cloth, h, integrator: SurrogateSimulator(cloth, h, integrator, n, weights)
+        return lambda cloth, h, integrator: SurrogateSimulator(cloth, h, integrator, n, weights=weights)
 
     def hybrid(corrections: int) -> Build:
         def build(cloth: Cloth, h: float, integrator: Integrator) -> LinearizableSimulator:
             def predictor(its_cloth: Cloth, step: float) -> LinearizableSimulator:
-                return SurrogateSimulator(its_cloth, step, integrator, usual(passes), weights)
+                return SurrogateSimulator(its_cloth, step, integrator, passes[0], weights=weights)
 
             return HybridSimulator(cloth, h, integrator, predictor, corrections)
 
         return build
 
     def without_network(cloth: Cloth, h: float, integrator: Integrator) -> LinearizableSimulator:
-        simulator: Any = SurrogateSimulator(cloth, h, integrator, 1, weights)
+        simulator: Any = SurrogateSimulator(cloth, h, integrator, 1, weights=weights)
         simulator.surrogate = _NoNetwork()
         return simulator  # type: ignore[no-any-return]
 
-    def without_passes(cloth: Cloth, h: float, integrator: Integrator) -> LinearizableSimulator:
-        simulator = SurrogateSimulator(cloth, h, integrator, 1, weights)
-        simulator.passes = 0
-        return simulator
+    def lines(sweeps: int) -> Build:
+        def build(cloth: Cloth, h: float, integrator: Integrator) -> LinearizableSimulator:
+            simulator: Any = SurrogateSimulator(cloth, h, integrator, 1, sweeps, weights)
+            # The sweeps without the network before them.
+            simulator.surrogate.network = _Silence()
+            return simulator  # type: ignore[no-any-return]
 
-    def one_step(cloth: Cloth, h: float, integrator: Integrator) -> LinearizableSimulator:
-        return ImplicitSimulator(cloth, h, integrator, NewtonSettings(CONVERGED.tolerance, max_iterations=1))
+        return build
+
+    def newton(steps: int) -> Build:
+        def build(cloth: Cloth, h: float, integrator: Integrator) -> LinearizableSimulator:
+            return HybridSimulator(cloth, h, integrator, None, steps)
+
+        return build
 
     found: dict[str, Build] = {surrogate_label(n): surrogate(n) for n in passes}
     for corrections in HYBRID_CORRECTIONS:
         found[hybrid_label(passes, corrections)] = hybrid(corrections)
-    return found | {ONE_NEWTON_STEP: one_step, RELAXATION: without_passes, EXTRAPOLATION: without_network}
+    return found | {
+        ONE_NEWTON_STEP: newton(1),
+        TWO_NEWTON_STEPS: newton(2),
+        RELAXATION: lines(LINE_SWEEPS - 1),
+        EXTRAPOLATION: without_network,
+    }
 
 
 def solver(cloth: Cloth, h: float, integrator: Integrator) -> ImplicitSimulator:

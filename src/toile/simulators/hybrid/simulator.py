@@ -33,7 +33,7 @@ class HybridSimulator(LinearizableSimulator):
         time_step: h [s].
         integrator: see integrators.
         predictor: builds the predictor from (cloth, time step), with as long a past as the integrator's. No
-            derivatives are taken through it.
+            derivatives are taken through it. None starts from the extrapolated past alone.
         corrections: Newton corrections at most, each with a new Hessian; 0 takes the prediction as it is.
         tolerance: out-of-balance force that needs no (further) correction, as a fraction of the weight of an
             interior vertex.
@@ -52,7 +52,7 @@ class HybridSimulator(LinearizableSimulator):
         cloth: Cloth,
         time_step: float,
         integrator: Integrator,
-        predictor: Callable[[Cloth, float], Simulator],
+        predictor: Callable[[Cloth, float], Simulator] | None,
         corrections: int = 2,
         tolerance: float = 1e-4,
         max_halvings: int = 12,
@@ -65,8 +65,8 @@ class HybridSimulator(LinearizableSimulator):
             raise ValueError(f"largest_residual: expected a positive number or None, got {largest_residual}")
         super().__init__(cloth, time_step, integrator)
         self.newton = NewtonSettings(tolerance, corrections, max_halvings)
-        self.predictor = predictor(cloth, time_step)
-        if self.predictor.n_past != self.n_past:
+        self.predictor = None if predictor is None else predictor(cloth, time_step)
+        if self.predictor is not None and self.predictor.n_past != self.n_past:
             raise ValueError(
                 f"predictor: expected one that keeps {self.n_past} past positions as the integrator does, "
                 f"got {self.predictor.n_past}"
@@ -78,8 +78,11 @@ class HybridSimulator(LinearizableSimulator):
     def _starts(
         self, state: State, material: Material, forces: Tensor, anchors: Tensor, guess: Tensor | None
     ) -> Tensor:
-        predicted = self.predictor.step(state, material, forces, anchors, guess).state.positions
-        candidates = [predicted, 2 * state.positions - state.past[:, 0]]
+        candidates = [2 * state.positions - state.past[:, 0]]
+        if self.predictor is not None:
+            candidates.append(self.predictor.step(state, material, forces, anchors, guess).state.positions)
+        elif state.past.shape[1] > 1:
+            candidates.append(3 * state.positions - 3 * state.past[:, 0] + state.past[:, 1])
         if guess is not None:
             candidates.append(guess)
         return torch.stack(candidates, 1)

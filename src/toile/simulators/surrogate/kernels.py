@@ -302,6 +302,154 @@ def tangential_relaxation_kernel(
             out[b, line, k] = out[b, line, k] + d * free[b, line, k]
 
 
+# Unknowns along a line: three per vertex, coupled up to the second neighbour.
+_BAND = 9
+
+
+@wp.func
+def add_line_block(
+    band: wp.array(dtype=wp.float32, ndim=4),
+    b: wp.int32,
+    line: wp.int32,
+    p: wp.int32,
+    q: wp.int32,
+    block: wp.mat33,
+):
+    """Add the block of vertices p >= q of a line to its lower band, stored by columns."""
+    for r in range(3):
+        for c in range(3):
+            row = 3 * p + r
+            column = 3 * q + c
+            if row >= column:
+                band[b, line, column, row - column] = band[b, line, column, row - column] + block[r, c]
+
+
+@wp.kernel(enable_backward=False)
+def line_relaxation_kernel(
+    x: wp.array(dtype=wp.vec3d, ndim=3),
+    stiffness: wp.array(dtype=wp.vec3),
+    residual: wp.array(dtype=wp.vec3, ndim=3),
+    rest_along: wp.array(dtype=wp.float32, ndim=3),
+    rest_across: wp.array(dtype=wp.float32, ndim=3),
+    masses: wp.array(dtype=wp.float32, ndim=2),
+    free: wp.array(dtype=wp.float32, ndim=3),
+    axis: wp.int32,
+    band: wp.array(dtype=wp.float32, ndim=4),
+    out: wp.array(dtype=wp.vec3, ndim=3),
+):
+    """Newton step of one grid line a thread, neighbouring lines held still; banded Cholesky."""
+    b, line = wp.tid()
+    n = x.shape[1]
+    n_lines = x.shape[2]
+    if axis == 1:
+        n = x.shape[2]
+        n_lines = x.shape[1]
+    stretching = stiffness[b][0]
+    shearing = stiffness[b][1]
+    bending = stiffness[b][2]
+    identity = wp.identity(n=3, dtype=wp.float32)
+    for k in range(3 * n):
+        for d in range(_BAND):
+            band[b, line, k, d] = 0.0
+    before = wp.max(line - 1, 0)
+    after = wp.min(line + 1, n_lines - 1)
+    cells = wp.float32(after - before)
+    for k in range(n):
+        moves = free[b, k, line]
+        m = masses[k, line]
+        if axis == 1:
+            moves = free[b, line, k]
+            m = masses[line, k]
+        here = vertex_of(x, axis, b, line, k)
+        block = (m * moves + 1.0 - moves) * identity
+        for side in range(2):
+            other = line - 1 + 2 * side
+            if other >= 0 and other < n_lines:
+                e = difference(vertex_of(x, axis, b, other, k), here)
+                length = edge_length(e)
+                along = wp.outer(e / length, e / length)
+                edge = wp.min(line, other)
+                rest = rest_across[b, k, edge]
+                if axis == 1:
+                    rest = rest_across[b, edge, k]
+                pull = wp.max(stretching * (length - rest) / length, 0.0)
+                transverse = pull + 2.0 * shearing + 2.0 * bending
+                block += moves * (stretching * along + transverse * (identity - along))
+        add_line_block(band, b, line, k, k, block)
+        if k + 1 < n:
+            moves1 = free[b, k + 1, line]
+            rest = rest_along[b, k, line]
+            if axis == 1:
+                moves1 = free[b, line, k + 1]
+                rest = rest_along[b, line, k]
+            e = difference(vertex_of(x, axis, b, line, k + 1), here)
+            length = edge_length(e)
+            u = e / length
+            along = wp.outer(u, u)
+            # Direction in the cloth across the edge: what shearing resists.
+            w = difference(vertex_of(x, axis, b, after, k), vertex_of(x, axis, b, before, k)) + difference(
+                vertex_of(x, axis, b, after, k + 1), vertex_of(x, axis, b, before, k + 1)
+            )
+            w = w - wp.dot(w, u) * u
+            w = w / edge_length(w)
+            pull = wp.max(stretching * (length - rest) / length, 0.0)
+            spring = stretching * along + pull * (identity - along)
+            spring += 2.0 * cells * shearing / (length * length) * wp.outer(w, w)
+            add_line_block(band, b, line, k, k, moves * spring)
+            add_line_block(band, b, line, k + 1, k + 1, moves1 * spring)
+            add_line_block(band, b, line, k + 1, k, -moves * moves1 * spring)
+            if k + 2 < n:
+                moves2 = free[b, k + 2, line]
+                if axis == 1:
+                    moves2 = free[b, line, k + 2]
+                h = difference(vertex_of(x, axis, b, line, k + 2), vertex_of(x, axis, b, line, k + 1))
+                length_h = edge_length(h)
+                t = u + h / length_h
+                t = t / edge_length(t)
+                angle = bending / (length * length_h) * (identity - wp.outer(t, t))
+                add_line_block(band, b, line, k, k, moves * angle)
+                add_line_block(band, b, line, k + 1, k + 1, 4.0 * moves1 * angle)
+                add_line_block(band, b, line, k + 2, k + 2, moves2 * angle)
+                add_line_block(band, b, line, k + 1, k, -2.0 * moves * moves1 * angle)
+                add_line_block(band, b, line, k + 2, k + 1, -2.0 * moves1 * moves2 * angle)
+                add_line_block(band, b, line, k + 2, k, moves * moves2 * angle)
+    # Factorise in place (the diagonal is kept inverted) and substitute forward on the way.
+    size = 3 * n
+    for c in range(size):
+        k = c / 3
+        value = wp.float32(0.0)
+        if axis == 0:
+            value = residual[b, k, line][c - 3 * k] * free[b, k, line]
+        else:
+            value = residual[b, line, k][c - 3 * k] * free[b, line, k]
+        for d in range(1, wp.min(_BAND - 1, c) + 1):
+            value -= band[b, line, c - d, d] * band[b, line, c - d, _BAND]
+        inverse = 1.0 / wp.sqrt(wp.max(band[b, line, c, 0], 1.0e-6))
+        band[b, line, c, 0] = inverse
+        band[b, line, c, _BAND] = value * inverse
+        top = wp.min(_BAND - 1, size - 1 - c)
+        for d in range(1, top + 1):
+            band[b, line, c, d] = band[b, line, c, d] * inverse
+        for d in range(1, top + 1):
+            factor = band[b, line, c, d]
+            for q in range(d, top + 1):
+                band[b, line, c + d, q - d] = band[b, line, c + d, q - d] - factor * band[b, line, c, q]
+    for back in range(size):
+        c = size - 1 - back
+        value = band[b, line, c, _BAND]
+        for d in range(1, wp.min(_BAND - 1, size - 1 - c) + 1):
+            value -= band[b, line, c, d] * band[b, line, c + d, _BAND]
+        band[b, line, c, _BAND] = value * band[b, line, c, 0]
+    for k in range(n):
+        step = wp.vec3(
+            band[b, line, 3 * k, _BAND], band[b, line, 3 * k + 1, _BAND], band[b, line, 3 * k + 2, _BAND]
+        )
+        if axis == 0:
+            out[b, k, line] = step * free[b, k, line]
+        else:
+            out[b, line, k] = step * free[b, line, k]
+
+
 @wp.func
 def asinh(v: wp.float32):
     """Inverse hyperbolic sine: linear near zero, logarithmic far away."""
@@ -413,16 +561,23 @@ def vertex_inputs_kernel(
         out[b, i, j, 19] = masses[i, j]
 
 
-def _vectors(tensor: Tensor) -> Any:
-    return wp.from_torch(tensor.detach(), dtype=wp.vec3d if tensor.dtype == torch.float64 else wp.vec3)
+def _launch(kernel: Any, n_threads: tuple[int, ...], *arguments: Tensor | int) -> None:
+    """Launch on the device of the first tensor.
 
-
-def _scalars(tensor: Tensor) -> Any:
-    return wp.from_torch(tensor.detach())
-
-
-def _device(tensor: Tensor) -> str:
-    return str(wp.device_from_torch(tensor.device))
+    What a kernel takes as vectors follows from its own signature. Bare array descriptors cost a fraction of
+    wp.array objects; the tensors behind them are kept until the launch is over.
+    """
+    kept = [a.detach().contiguous() if isinstance(a, Tensor) else a for a in arguments]
+    given: list[Any] = []
+    for argument, declared in zip(kept, kernel.adj.args, strict=True):
+        if isinstance(argument, Tensor):
+            dtype = declared.type.dtype
+            given.append(wp.from_torch(argument, dtype=dtype, return_ctype=True))
+        else:
+            given.append(argument)
+    device = next(a for a in kept if isinstance(a, Tensor)).device
+    stream = wp.stream_from_torch(device) if device.type == "cuda" else None
+    wp.launch(kernel, dim=n_threads, inputs=given, device=str(wp.device_from_torch(device)), stream=stream)
 
 
 def energy_gradient(positions: Tensor, stiffness: Tensor, rest_i: Tensor, rest_j: Tensor) -> Tensor:
@@ -439,18 +594,7 @@ def energy_gradient(positions: Tensor, stiffness: Tensor, rest_i: Tensor, rest_j
     """
     x = positions.double().contiguous()
     out = torch.zeros(x.shape, dtype=torch.float32, device=x.device)
-    wp.launch(
-        energy_gradient_kernel,
-        dim=tuple(x.shape[:3]),
-        inputs=[
-            _vectors(x),
-            _vectors(stiffness.contiguous()),
-            _scalars(rest_i.contiguous()),
-            _scalars(rest_j.contiguous()),
-            _vectors(out),
-        ],
-        device=_device(x),
-    )
+    _launch(energy_gradient_kernel, tuple(x.shape[:3]), x, stiffness, rest_i, rest_j, out)
     return out
 
 
@@ -458,18 +602,7 @@ def energies(positions: Tensor, stiffness: Tensor, rest_i: Tensor, rest_j: Tenso
     """Stretching, shearing and bending energy, (B, 3) float64; arguments as in ``energy_gradient``."""
     x = positions.double().contiguous()
     out = torch.zeros(len(x), 3, dtype=torch.float64, device=x.device)
-    wp.launch(
-        energy_kernel,
-        dim=tuple(x.shape[:3]),
-        inputs=[
-            _vectors(x),
-            _vectors(stiffness.contiguous()),
-            _scalars(rest_i.contiguous()),
-            _scalars(rest_j.contiguous()),
-            _scalars(out),
-        ],
-        device=_device(x),
-    )
+    _launch(energy_kernel, tuple(x.shape[:3]), x, stiffness, rest_i, rest_j, out)
     return out
 
 
@@ -491,26 +624,65 @@ def tangential_relaxation(
     Returns:
         (B, H, W, 3), zero at held vertices.
     """
-    x, r = positions.double().contiguous(), residual.contiguous()
+    x = positions.double().contiguous()
     batch, height, width, _ = x.shape
     out = torch.zeros(x.shape, dtype=torch.float32, device=x.device)
     work = torch.empty(batch, max(height, width), max(height, width), 3, device=x.device)
     for axis, n_lines in ((0, width), (1, height)):
-        wp.launch(
+        _launch(
             tangential_relaxation_kernel,
-            dim=(batch, n_lines),
-            inputs=[
-                _vectors(x),
-                _vectors(stiffness.contiguous()),
-                _vectors(r),
-                _scalars(masses.contiguous()),
-                _scalars(free.contiguous()),
-                axis,
-                _scalars(work),
-                _vectors(out),
-            ],
-            device=_device(x),
+            (batch, n_lines),
+            x,
+            stiffness,
+            residual,
+            masses,
+            free,
+            axis,
+            work,
+            out,
         )
+    return out
+
+
+def line_relaxation(
+    positions: Tensor,
+    stiffness: Tensor,
+    residual: Tensor,
+    rest_i: Tensor,
+    rest_j: Tensor,
+    masses: Tensor,
+    free: Tensor,
+    axis: int,
+) -> Tensor:
+    """Newton step of every grid line along one axis for itself, its neighbours held still.
+
+    Stretching, shearing and bending along the line in all three directions, with the convex part of the
+    Hessian (banded Cholesky, one line a thread); neighbours enter as springs to fixed points.
+
+    Args:
+        positions: (B, H, W, 3) float64.
+        stiffness: (B, 3).
+        residual: -∇Φ (B, H, W, 3), zero at held vertices.
+        rest_i: rest lengths along grid axis 0, (B, H-1, W).
+        rest_j: rest lengths along grid axis 1, (B, H, W-1).
+        masses: (H, W).
+        free: (B, H, W), 1 or 0.
+        axis: 0 for the lines along i, 1 for those along j.
+
+    Returns:
+        (B, H, W, 3), zero at held vertices.
+    """
+    x = positions.double().contiguous()
+    batch, height, width, _ = x.shape
+    out = torch.empty(x.shape, dtype=torch.float32, device=x.device)
+    n, n_lines = (height, width) if axis == 0 else (width, height)
+    # One column more than the band for the right-hand side.
+    band = torch.empty(batch, n_lines, 3 * n, _BAND + 1, device=x.device)
+    along, across = (rest_i, rest_j) if axis == 0 else (rest_j, rest_i)
+    threads = (batch, n_lines)
+    _launch(
+        line_relaxation_kernel, threads, x, stiffness, residual, along, across, masses, free, axis, band, out
+    )
     return out
 
 
@@ -518,18 +690,7 @@ def tensions(positions: Tensor, stiffness: Tensor, rest_i: Tensor, rest_j: Tenso
     """(B, H, W, 3): sum of the pulling tensions at a vertex, tension of its edges to i + 1 and to j + 1."""
     x = positions.double().contiguous()
     out = torch.empty(*x.shape[:3], 3, device=x.device)
-    wp.launch(
-        tension_kernel,
-        dim=tuple(x.shape[:3]),
-        inputs=[
-            _vectors(x),
-            _vectors(stiffness.contiguous()),
-            _scalars(rest_i.contiguous()),
-            _scalars(rest_j.contiguous()),
-            _scalars(out),
-        ],
-        device=_device(x),
-    )
+    _launch(tension_kernel, tuple(x.shape[:3]), x, stiffness, rest_i, rest_j, out)
     return out
 
 
@@ -570,20 +731,17 @@ def vertex_inputs(
     x = positions.double().contiguous()
     frames = torch.empty(*x.shape[:3], 3, 3, device=x.device)
     out = torch.empty(*x.shape[:3], n_inputs(level), device=x.device)
-    wp.launch(
+    _launch(
         vertex_inputs_kernel,
-        dim=tuple(x.shape[:3]),
-        inputs=[
-            _vectors(x),
-            _vectors(residual.contiguous()),
-            _scalars(tension.contiguous()),
-            _scalars(held.contiguous()),
-            _scalars(masses.contiguous()),
-            _vectors(stiffness.contiguous()),
-            level,
-            _vectors(frames),
-            _scalars(out),
-        ],
-        device=_device(x),
+        tuple(x.shape[:3]),
+        x,
+        residual,
+        tension,
+        held,
+        masses,
+        stiffness,
+        level,
+        frames,
+        out,
     )
     return frames, out

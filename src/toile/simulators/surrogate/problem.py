@@ -75,6 +75,19 @@ class StepProblem:
         """Displacement (B, H, W, 3) that settles stretching along every warp and weft line."""
         return kernels.tangential_relaxation(positions, self.stiffness, residual, self.masses, self.free)
 
+    def line_step(self, positions: Tensor, residual: Tensor, axis: int) -> Tensor:
+        """Displacement (B, H, W, 3) that every line along the axis would make for itself."""
+        return kernels.line_relaxation(
+            positions,
+            self.stiffness,
+            residual,
+            self.rest_lengths_i,
+            self.rest_lengths_j,
+            self.masses,
+            self.free,
+            axis,
+        )
+
     def best_start(self) -> Tensor:
         """The candidate start of lowest Φ, one for each problem, (B, H, W, 3)."""
         values = torch.stack([self.potential(start) for start in self.starts.unbind(1)], 1)

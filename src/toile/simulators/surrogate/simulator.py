@@ -36,7 +36,8 @@ class SurrogateSimulator(LinearizableSimulator):
         cloth: a grid at least 4×4, at rest flat with right angles, uniform areal density.
         time_step: h [s].
         integrator: see integrators.
-        passes: passes of the network per step.
+        passes: passes of the network per step; 0 leaves the line relaxation alone.
+        sweeps: relaxations of the warp and weft lines after each pass.
         weights: file written by ``toile train``; those of the package if None.
 
     Raises:
@@ -50,12 +51,16 @@ class SurrogateSimulator(LinearizableSimulator):
         time_step: float,
         integrator: Integrator,
         passes: int,
+        sweeps: int = 2,
         weights: str | Path | None = None,
     ) -> None:
         super().__init__(cloth, time_step, integrator)
-        if passes < 1:
-            raise ValueError(f"passes: expected at least 1, got {passes}")
+        if passes < 0:
+            raise ValueError(f"passes: expected 0 or more, got {passes}")
+        if sweeps < 1:
+            raise ValueError(f"sweeps: expected at least 1, got {sweeps}")
         self.passes = passes
+        self.sweeps = sweeps
         self.surrogate = load_weights(None if weights is None else Path(weights))
         self._grid = _checked_grid(cloth)
         height, width = self._grid
@@ -97,7 +102,7 @@ class SurrogateSimulator(LinearizableSimulator):
         # Coordinates stay small wherever the cloth is.
         origin = prediction.mean(1)[:, None]
         problem = self._problem(starts, prediction, anchors, forces, stiffness, inertia, units, origin)
-        solved, residual = self.surrogate.solve(problem, self.passes)
+        solved, residual = self.surrogate.solve(problem, self.passes, self.sweeps)
         positions = solved.numpy().reshape(prediction.shape) * self._length + origin
         positions[:, self.assembly.held] = anchors
         largest = residual.flatten(1).abs().amax(1).tolist()

@@ -16,6 +16,8 @@ from toile.simulators.surrogate.problem import StepProblem
 _LEAST_SHARE = 0.2
 # A displacement may be stretched up to this factor where Φ is flatter than the network thought.
 _LONGEST_STEP = 2.0
+# A step that is right to this fraction is taken as it is.
+_CLOSE_TO_WHOLE = 0.1
 # Largest gradient of one sample with respect to its displacements, in units of the rescaled loss.
 _LARGEST_GRADIENT = 3.0
 
@@ -57,15 +59,28 @@ class Surrogate(nn.Module):
         self.network = GatedUNet(widths)
 
     @torch.no_grad()
-    def solve(self, problem: StepProblem, n_passes: int, halvings: int = 3) -> tuple[Tensor, Tensor]:
+    def solve(
+        self, problem: StepProblem, n_passes: int, sweeps: int = 1, halvings: int = 3
+    ) -> tuple[Tensor, Tensor]:
         """Approximate minimiser of Φ and the out-of-balance force there, (B, H, W, 3) each.
+
+        Every pass of the network is followed by ``sweeps`` relaxations of the warp and the weft lines.
 
         Φ never ends above its value at the best start: a displacement that would raise it is halved up to
         ``halvings`` times and then left out.
         """
-        x, r = self._begin(problem)
+        x = problem.best_start()
+        x, r = self._settle(problem, x, problem.residual(x), halvings)
         for _ in range(n_passes):
-            x, r = self._descend(problem, x, r, self.network(problem, x, r), halvings)
+            x, r = _descend(problem, x, r, self.network(problem, x, r), halvings)
+            for _ in range(sweeps):
+                x, r = self._settle(problem, x, r, halvings)
+        return x, r
+
+    def _settle(self, problem: StepProblem, x: Tensor, r: Tensor, halvings: int) -> tuple[Tensor, Tensor]:
+        """Warp lines, then weft lines, each for itself: what is stiff along a line needs no learning."""
+        for axis in (0, 1):
+            x, r = _descend(problem, x, r, problem.line_step(x, r, axis), halvings)
         return x, r
 
     def passes(self, problem: StepProblem, n_passes: int) -> Iterator[Pass]:
@@ -86,24 +101,6 @@ class Surrogate(nn.Module):
         r_settled = problem.residual(settled)
         lower = _wide(_change(settled - x, r, r_settled) <= 0)
         return torch.where(lower, settled, x), torch.where(lower, r_settled, r)
-
-    def _descend(
-        self, problem: StepProblem, x: Tensor, r: Tensor, displacement: Tensor, halvings: int
-    ) -> tuple[Tensor, Tensor]:
-        """Move along the displacement as far as is best, settle the stretching, and see that Φ has fallen."""
-        ahead = problem.residual(x + displacement)
-        along, curvature = (_dot(displacement, f) for f in (r, r - ahead))
-        length = (along / curvature).nan_to_num(nan=1.0).clamp(0.0, _LONGEST_STEP)
-        for _ in range(halvings + 1):
-            trial = x + _wide(length) * displacement
-            # The force there by interpolation: only the relaxation sees it.
-            settled = trial + problem.relaxation(trial, torch.lerp(r, ahead, _wide(length).float()))
-            r_settled = problem.residual(settled)
-            lower = _change(settled - x, r, r_settled) <= 0
-            if bool(lower.all()):
-                break
-            length = torch.where(lower, length, 0.5 * length)
-        return torch.where(_wide(lower), settled, x), torch.where(_wide(lower), r_settled, r)
 
     def _judge(self, problem: StepProblem, x: Tensor, r: Tensor, correction: Tensor) -> Pass:
         moved = x + correction
@@ -136,6 +133,25 @@ class Surrogate(nn.Module):
             potential_change=change,
             accepted=good,
         )
+
+
+def _descend(
+    problem: StepProblem, x: Tensor, r: Tensor, displacement: Tensor, halvings: int
+) -> tuple[Tensor, Tensor]:
+    """Move along the displacement, farther or less far where that is better, and only where Φ falls."""
+    ahead = problem.residual(x + displacement)
+    along, curvature = (_dot(displacement, f) for f in (r, r - ahead))
+    length = (along / curvature).nan_to_num(nan=1.0).clamp(0.0, _LONGEST_STEP)
+    whole = bool(((length - 1).abs() <= _CLOSE_TO_WHOLE).all())
+    for _ in range(halvings + 1):
+        trial = x + (1.0 if whole else _wide(length)) * displacement
+        r_trial = ahead if whole else problem.residual(trial)
+        lower = _change(trial - x, r, r_trial) <= 0
+        if bool(lower.all()):
+            return trial, r_trial
+        length = torch.where(lower, length, 0.5 * length)
+        whole = False
+    return torch.where(_wide(lower), trial, x), torch.where(_wide(lower), r_trial, r)
 
 
 def _wide(per_sample: Tensor) -> Tensor:
