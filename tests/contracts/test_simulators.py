@@ -14,6 +14,7 @@ from toile.simulators.implicit.integrators import BDF2, BackwardEuler
 from toile.simulators.implicit.newton import NewtonSettings
 from toile.simulators.implicit.simulator import ImplicitSimulator
 from toile.simulators.rollout import rollout
+from toile.simulators.surrogate.simulator import SurrogateSimulator
 
 GRID, SIZE, STEP = (5, 6), (0.2, 0.25), 1 / 60
 
@@ -44,6 +45,8 @@ SIMULATORS = {
     "implicit, BDF2": lambda cloth, h: ImplicitSimulator(cloth, h, BDF2(), NewtonSettings()),
     "hybrid, backward Euler": lambda cloth, h: hybrid(cloth, h, BackwardEuler()),
     "hybrid, BDF2": lambda cloth, h: hybrid(cloth, h, BDF2()),
+    "surrogate, backward Euler": lambda cloth, h: SurrogateSimulator(cloth, h, BackwardEuler(), 2),
+    "surrogate, BDF2": lambda cloth, h: SurrogateSimulator(cloth, h, BDF2(), 2),
 }
 
 
@@ -149,7 +152,11 @@ def test_a_batch_is_its_scenes_one_by_one(make):
     both = rollout(simulator, state, material, forces, anchors, 2).all_positions
     for b in range(2):
         alone = rollout(simulator, *scene(simulator, seeds=(b,)), 2).all_positions
-        assert torch.equal(both[b : b + 1], alone)
+        if isinstance(simulator, SurrogateSimulator):
+            # Convolutions round differently in batches of another size; worst seen 1e-7.
+            assert (both[b : b + 1] - alone).abs().max() <= 1e-6
+        else:
+            assert torch.equal(both[b : b + 1], alone)
 
 
 def test_repeated_runs_are_bit_identical(make):
@@ -209,7 +216,9 @@ def test_gradient_of_a_rollout_along_a_random_direction(make):
     slope = sum(float((g * along[k]).sum()) for k, g in zip(inputs, gradients, strict=True))
     eps = 1e-3
     ahead, behind = (loss({k: v + s * eps * along[k] for k, v in inputs.items()}) for s in (1, -1))
-    assert slope == pytest.approx(float((ahead - behind) / (2 * eps)), rel=1e-4)  # worst seen 1.3e-5
+    # Worst seen 1.3e-5. The surrogate's derivatives are those of the minimum that it comes close to.
+    tolerance = 0.2 if isinstance(simulator, SurrogateSimulator) else 1e-4
+    assert slope == pytest.approx(float((ahead - behind) / (2 * eps)), rel=tolerance)
 
 
 @pytest.mark.parametrize("name", ["positions", "past", "forces", "anchors", "stiffness", "guess"])

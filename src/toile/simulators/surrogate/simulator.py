@@ -146,7 +146,7 @@ class SurrogateSimulator(LinearizableSimulator):
     def _solution(
         self, positions: Array, stiffness: Array, residual: float, inertia: Array, *, linearize: bool
     ) -> StepSolution:
-        if not np.isfinite(positions).all():
+        if not (np.isfinite(positions).all() and np.isfinite(residual)):
             return StepSolution(positions, StepStatus.NOT_FINITE, 0, float("nan"), None)
         linearization: Linearization | None = None
         if linearize:

@@ -142,15 +142,14 @@ def _descend(
     ahead = problem.residual(x + displacement)
     along, curvature = (_dot(displacement, f) for f in (r, r - ahead))
     length = (along / curvature).nan_to_num(nan=1.0).clamp(0.0, _LONGEST_STEP)
-    whole = bool(((length - 1).abs() <= _CLOSE_TO_WHOLE).all())
+    length = torch.where((length - 1).abs() <= _CLOSE_TO_WHOLE, 1.0, length)
     for _ in range(halvings + 1):
-        trial = x + (1.0 if whole else _wide(length)) * displacement
-        r_trial = ahead if whole else problem.residual(trial)
+        trial = x + _wide(length) * displacement
+        r_trial = ahead if bool((length == 1).all()) else problem.residual(trial)
         lower = _change(trial - x, r, r_trial) <= 0
         if bool(lower.all()):
-            return trial, r_trial
+            break
         length = torch.where(lower, length, 0.5 * length)
-        whole = False
     return torch.where(_wide(lower), trial, x), torch.where(_wide(lower), r_trial, r)
 
 
