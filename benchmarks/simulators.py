@@ -4,7 +4,7 @@
     python benchmarks/simulators.py --seeds 0 1 2
 
 One fit after the other on one machine, so that the ratios mean something; finished runs are not run again.
-Writes docs/results/simulators.csv and simulators.md.
+Writes docs/results/simulators.csv, simulators.md and the table in the README.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
-from results import ROOT, fit, machine, mean_of, toile
+from results import ROOT, fit, insert, machine, mean_of, toile
 
 # Name in the table and what selects it; the solver comes first, ratios are to it.
 CONTENDERS = {
@@ -93,6 +93,7 @@ def main() -> None:
     command = "`python benchmarks/simulators.py --seeds " + " ".join(map(str, options.seeds)) + "`"
     text = f"{command}, on {where}; one fit after the other.\n\n{text}\n"
     (docs / "simulators.md").write_text(text)
+    insert(ROOT / "README.md", "simulators", text.strip())
     print(text)
 
 

@@ -100,6 +100,16 @@ def test_default_optimisation(toile: Toile, tmp_path: Path) -> None:
     assert metrics["fit"]["difference to the last cycle [mm]"] < 0.01
 
 
+@pytest.mark.usefixtures("swaying")
+@pytest.mark.parametrize("simulator", ["surrogate", "hybrid"])
+def test_other_simulators(simulator: str, toile: Toile, tmp_path: Path) -> None:
+    outcome = toile("fit", "scene=swaying", f"simulator={simulator}", *QUICK, "hydra.run.dir=run")
+    assert outcome.status == 0, outcome.err
+    metrics = read_metrics(RunFolder(tmp_path / "run"))
+    assert metrics["metrics"]["chamfer"]["mean"] < 1.0
+    assert metrics["fit"]["difference to the last cycle [mm]"] < 0.01
+
+
 def test_without_ground_truth(swaying_scene: Scene, toile: Toile, tmp_path: Path) -> None:
     write_native(
         dataclasses.replace(swaying_scene, ground_truth=None), tmp_path / "data" / "made" / "swaying"

@@ -28,9 +28,9 @@ Array = NDArray[np.float64]
 class SurrogateSimulator(LinearizableSimulator):
     """The implicit step of the same integrator, solved by the network instead of Newton's method.
 
-    One batch is one call of the network. Gradients are those of the implicit function theorem at the
-    network's solution: they are as exact as the solution is, and far cheaper than backpropagation through the
-    network.
+    One batch is one call of the network; a guess is ignored. Gradients are those of the implicit function
+    theorem at the network's solution: they are as exact as the solution is, and far cheaper than
+    backpropagation through the network.
 
     Args:
         cloth: a grid at least 4×4, at rest flat with right angles, uniform areal density.
@@ -82,8 +82,8 @@ class SurrogateSimulator(LinearizableSimulator):
         candidates = [now, 2 * now - past[:, 0]]
         if past.shape[1] > 1:
             candidates.append(3 * now - 3 * past[:, 0] + past[:, 1])
-        if guess is not None:
-            candidates.append(guess.detach())
+        # No guess: the network stops where its passes end, and what a motion is must follow from its past and
+        # its forces alone.
         return torch.stack(candidates, 1)
 
     @torch.no_grad()
