@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -34,14 +33,12 @@ def save_weights(path: Path, surrogate: Surrogate, description: dict[str, str]) 
         "weights": {k: v.detach().cpu().contiguous() for k, v in surrogate.state_dict().items()},
     }
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
-    os.close(handle)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         torch.save(content, temporary)
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 def load_weights(path: Path | None = None) -> Surrogate:
@@ -78,6 +75,9 @@ def _read(path: Path) -> dict[str, Any]:
         raise _unusable(path, "a file written by toile train", str(error)) from error
     if not isinstance(content, dict) or "format" not in content:
         raise _unusable(path, f"format {FORMAT}", "a file without a format")
+    missing = {"units", "widths", "weights", "description"} - content.keys()
+    if missing:
+        raise _unusable(path, "weights with their description", f"a file without {', '.join(sorted(missing))}")
     for key, expected in (("format", FORMAT), ("units", UNITS)):
         if content[key] != expected:
             raise _unusable(path, f"{key}: {expected}", str(content[key]))

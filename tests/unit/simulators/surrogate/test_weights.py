@@ -60,6 +60,14 @@ def test_pickled_code_is_not_run(path):
         load_weights(path)
 
 
+def test_half_a_file(path):
+    content = torch.load(path, weights_only=True)
+    del content["widths"]
+    torch.save(content, path)
+    with pytest.raises(InputError, match="without widths"):
+        load_weights(path)
+
+
 @pytest.mark.parametrize("key", ["format", "units"])
 def test_other_format_or_units(path, key):
     changed(path, **{key: "another"})
