@@ -2,6 +2,7 @@
 
     python benchmarks/simulators.py                    # R1 and a generated scene, seed 0
     python benchmarks/simulators.py --seeds 0 1 2
+    python benchmarks/simulators.py --track-only       # without the stage that calibrates the stiffness
 
 One fit after the other on one machine, so that the ratios mean something; finished runs are not run again.
 Writes docs/results/simulators.csv, simulators.md and the table in the README.
@@ -19,17 +20,12 @@ from results import ROOT, fit, insert, machine, mean_of, toile
 # Name in the table and what selects it; the solver comes first, ratios are to it.
 CONTENDERS = {
     "implicit (solver)": ["simulator=implicit"],
-    "no network, up to 2 Newton steps": ["simulator=hybrid", "simulator.build.predictor=null"],
-    "no network, 1 Newton step": [
-        "simulator=hybrid",
-        "simulator.build.predictor=null",
-        "simulator.build.corrections=1",
-    ],
-    "hybrid, 1 pass and 1 Newton step": ["simulator=hybrid", "simulator.build.corrections=1"],
-    "hybrid, 1 pass and up to 2 Newton steps": ["simulator=hybrid"],
-    "surrogate, 1 pass": ["simulator=surrogate", "simulator.build.passes=1"],
     "surrogate, 2 passes": ["simulator=surrogate"],
+    "hybrid, 1 pass and up to 2 Newton steps": ["simulator=hybrid"],
+    "no network, up to 2 Newton steps": ["simulator=hybrid", "simulator.build.predictor=null"],
 }
+# Of the generated scene; R1 is taken whole.
+GENERATED_FRAMES = 25
 
 
 def row(scene: str, name: str, seed: int, folder: Path, metrics: dict[str, Any]) -> dict[str, Any]:
@@ -46,21 +42,29 @@ def row(scene: str, name: str, seed: int, folder: Path, metrics: dict[str, Any])
     }
 
 
-def measure(seeds: list[int], only: list[str] | None, outputs: Path) -> pd.DataFrame:
+def measure(seeds: list[int], only: list[str] | None, extra: list[str], outputs: Path) -> pd.DataFrame:
     """Every scene with every simulator and seed."""
     generated = outputs / "generated_scene"
     if not (generated / "scene.json").exists():
         toile("generate", f"folder={generated}", "settings.name=generated_scene")
-    scenes = {"R1": ["scene=R1"], "generated": [f"scene.name={generated}", "cloth/rest_lengths=uniform"]}
+    scenes = {
+        "R1": ["scene=R1"],
+        "generated": [
+            f"scene.name={generated}",
+            "cloth/rest_lengths=uniform",
+            f"scene.n_frames={GENERATED_FRAMES}",
+        ],
+    }
     rows = []
     for scene, selection in scenes.items():
         for name, overrides in CONTENDERS.items():
             if only and not any(word in name for word in only):
                 continue
             for seed in seeds:
-                slug = "".join(c if c.isalnum() else "_" for c in f"{scene}_{name}_seed{seed}")
+                words = [scene, name, f"seed{seed}", *(["track only"] if extra else [])]
+                slug = "".join(c if c.isalnum() else "_" for c in "_".join(words))
                 folder = outputs / slug
-                metrics = fit(selection, folder, seed, *overrides)
+                metrics = fit(selection, folder, seed, *overrides, *extra)
                 if metrics is not None:
                     rows.append(row(scene, name, seed, folder, metrics))
     return pd.DataFrame(rows)
@@ -81,16 +85,19 @@ def main() -> None:
     parser.add_argument("--seeds", nargs="*", type=int, default=[0])
     parser.add_argument("--only", nargs="*", help="words that a contender's name must contain one of")
     parser.add_argument("--outputs", type=Path, default=ROOT / "outputs" / "simulators")
+    parser.add_argument("--track-only", action="store_true", help="with the stiffness that fits start from")
     options = parser.parse_args()
+    extra = ["optimization.stages.calibrate=null"] if options.track_only else []
     outputs = options.outputs.resolve()
     outputs.mkdir(parents=True, exist_ok=True)
-    table = measure(options.seeds, options.only, outputs)
+    table = measure(options.seeds, options.only, extra, outputs)
     docs = ROOT / "docs" / "results"
     docs.mkdir(parents=True, exist_ok=True)
     table.to_csv(docs / "simulators.csv", index=False)
     text = with_ratios(table).to_markdown(index=False, floatfmt=".3g")
     where = machine(ROOT / table.run.iloc[0] / "metrics.json")
-    command = "`python benchmarks/simulators.py --seeds " + " ".join(map(str, options.seeds)) + "`"
+    command = "`python benchmarks/simulators.py --seeds " + " ".join(map(str, options.seeds))
+    command += " --track-only`" if options.track_only else "`"
     text = f"{command}, on {where}; one fit after the other.\n\n{text}\n"
     (docs / "simulators.md").write_text(text)
     insert(ROOT / "README.md", "simulators", text.strip())

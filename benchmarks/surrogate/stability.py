@@ -27,7 +27,7 @@ GRAVITY_NUMBER = 0.05  # network units
 LEAN = 60.0  # of the sheet at the start [degrees]
 REST = 1e-4  # largest speed that is called rest, edge lengths per step
 WINDOW = 100  # steps, over which the largest speed is taken
-SOLVER_SECONDS = 8.0  # the solver's motion of one material is given up after this long
+SOLVER_SECONDS = 4.0  # the solver's motion of one material is given up after this long
 _SEED = 74_000_000
 
 
@@ -43,7 +43,7 @@ class StabilitySettings:
         levels: values of every stiffness.
     """
 
-    grid: tuple[int, int] = (16, 16)
+    grid: tuple[int, int] = (12, 12)
     steps: int = 10_000
     solver_steps: int = 1_000
     every: int = 100

@@ -24,9 +24,9 @@ Array = NDArray[np.float64]
 class HybridSimulator(LinearizableSimulator):
     """Implicit steps with a bounded number of Hessians: predicted, then corrected.
 
-    Newton's method starts from the predictor's positions, the extrapolated past or the guess, whichever has
-    the lowest potential, and stops after ``corrections`` Hessians or at the tolerance. Both are a success;
-    the out-of-balance force that is left is the step's ``residual``.
+    Newton's method starts from the predictor's positions or the extrapolated past, whichever has the lowest
+    potential (a guess is ignored), and stops after ``corrections`` Hessians or at the tolerance. Both are a
+    success; the out-of-balance force that is left is the step's ``residual``.
 
     Args:
         cloth: elements, rest shape, masses and held vertices.
@@ -80,11 +80,11 @@ class HybridSimulator(LinearizableSimulator):
     ) -> Tensor:
         candidates = [2 * state.positions - state.past[:, 0]]
         if self.predictor is not None:
-            candidates.append(self.predictor.step(state, material, forces, anchors, guess).state.positions)
+            candidates.append(self.predictor.step(state, material, forces, anchors).state.positions)
         elif state.past.shape[1] > 1:
             candidates.append(3 * state.positions - 3 * state.past[:, 0] + state.past[:, 1])
-        if guess is not None:
-            candidates.append(guess)
+        # No guess: where the corrections run out, the result depends on the start, and what a motion is must
+        # follow from its past and its forces alone.
         return torch.stack(candidates, 1)
 
     def _solve(
