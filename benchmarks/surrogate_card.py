@@ -56,6 +56,8 @@ from toile.reports.atomic_file import write_text
 from toile.simulators.surrogate.weights import describe_weights, packaged_weights
 
 ROOT = Path(__file__).resolve().parent.parent
+# A window of the default recipe: six frames of two sub-steps.
+WINDOW_STEPS = 12
 PARTS = ("accuracy", "stability", "gradients", "speed")
 TEMPLATE = Path(__file__).parent / "surrogate" / "card.md"
 MISSING = "*Not measured yet with these weights.*"
@@ -156,6 +158,11 @@ class Measurements:
             self.about | {"grid": e.grid, "steps": e.steps, "seeds": e.seeds},
             lambda: gradients(self.contenders, e.seeds, e.grid, e.steps),
         )
+        self.records.measure(
+            "gradients_window",
+            self.about | {"grid": e.grid, "steps": WINDOW_STEPS, "seeds": e.seeds},
+            lambda: gradients(self.contenders, e.seeds, e.grid, WINDOW_STEPS),
+        )
 
     def speed(self) -> None:
         """Of everything."""
@@ -218,6 +225,9 @@ def write_card(docs: Path, records: Records, weights: Path, passes: list[int], e
         alone = [known["stability_solver"]] if "stability_solver" in known else []
         words["made_stability"] = _made([run.about for run in (*runs, *alone)])
         figures.save(figures.energies(table), pictures / "energies.png")
+    if "gradients_window" in known:
+        words["gradients_window"] = tables.gradient_table(known["gradients_window"].table)
+        words["made_gradients_window"] = _made([known["gradients_window"].about])
     if "gradients" in known:
         settings = known["gradients"].about["settings"]
         words["gradients"] = tables.gradient_table(known["gradients"].table)
