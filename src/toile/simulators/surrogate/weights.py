@@ -77,8 +77,8 @@ def _read(path: Path) -> dict[str, Any]:
         raise _unusable(path, f"format {FORMAT}", "a file without a format")
     missing = {"units", "widths", "weights", "description"} - content.keys()
     if missing:
-        got = f"a file without {', '.join(sorted(missing))}"
-        raise _unusable(path, "weights with their description", got)
+        found = f"a file without {', '.join(sorted(missing))}"
+        raise _unusable(path, "weights with their description", found)
     for key, expected in (("format", FORMAT), ("units", UNITS)):
         if content[key] != expected:
             raise _unusable(path, f"{key}: {expected}", str(content[key]))
