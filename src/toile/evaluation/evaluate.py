@@ -39,15 +39,12 @@ from toile.evaluation.normals import (
 from toile.evaluation.out_of_balance import OUT_OF_BALANCE_PROTOCOL, OutOfBalanceForce
 from toile.evaluation.point_to_surface import POINT_TO_SURFACE_PROTOCOL, point_to_surface
 from toile.evaluation.silhouette import SILHOUETTE_PROTOCOL, intersection_over_union
+from toile.evaluation.target_points import target_points
 from toile.evaluation.vertices import VERTEX_PERCENT_PROTOCOL, VERTEX_PROTOCOL, vertex_error
-from toile.geometry.mesh import grid_faces, sample_surface
+from toile.geometry.mesh import grid_faces
 from toile.rendering.base import RenderedImages, Renderer
 from toile.scenes.scene import Scene
 
-TRUE_MESH_SAMPLES = 20_000
-"""Points drawn from a true mesh where a scene has true vertices but no point clouds."""
-TRUE_MESH_SEED_OFFSET = 1_000_000
-"""Keeps the samples of the true mesh independent of those of the reconstruction."""
 NORMAL_SAMPLES = 2_000
 NORMAL_NEIGHBOURS = 50
 METRES_TO_MILLIMETRES = 1e3
@@ -221,7 +218,7 @@ def evaluate(
     true_vertices = None
     if truth is not None and truth.vertices is not None:
         true_vertices = truth.vertices[:n].detach().cpu().double()
-    clouds, cloud_note = _clouds(scene, true_vertices, faces, n, seed)
+    clouds, cloud_note = target_points(truth, range(n), seed)
 
     if clouds is None:
         for key in ("chamfer", "chamfer_l1", "point_to_surface"):
@@ -329,32 +326,6 @@ def _check(trajectory: Tensor, scene: Scene, n_frames: int | None) -> int:
                 got=f"{min(lengths)} frames",
             )
     return n
-
-
-def _clouds(
-    scene: Scene, true_vertices: Tensor | None, faces: Tensor, n: int, seed: int
-) -> tuple[tuple[Tensor, ...] | None, str]:
-    """Ground-truth points per frame, drawn from the true mesh where there are no clouds; and a note."""
-    truth = scene.ground_truth
-    if truth is not None and truth.point_clouds is not None:
-        return truth.point_clouds[:n], ""
-    if true_vertices is None:
-        return None, ""
-    true_faces = grid_faces(true_vertices.shape[1], true_vertices.shape[2])
-    clouds = tuple(
-        sample_surface(
-            true_vertices[f].reshape(-1, 3),
-            true_faces,
-            TRUE_MESH_SAMPLES,
-            torch.Generator().manual_seed(seed + TRUE_MESH_SEED_OFFSET + f),
-        )
-        for f in range(n)
-    )
-    note = (
-        f"; the ground-truth points are {TRUE_MESH_SAMPLES} area-weighted samples of the true mesh per "
-        f"frame, sampling seed = seed + {TRUE_MESH_SEED_OFFSET} + frame"
-    )
-    return clouds, note
 
 
 def _rendered_metrics(

@@ -53,7 +53,7 @@ def problem(swaying_scene: Scene) -> Reconstruction:
 
 def stage(term: PointTermSettings | PositionTermSettings, priors: Priors, **changes: object) -> Stage:
     defaults: dict[str, object] = {
-        "windows": SlidingWindows(3, 1),
+        "windows": SlidingWindows(3, 1, 1),
         "iterations": 2,
         "cg_iterations": 40,
         "cg_tolerance": 1e-3,
@@ -101,7 +101,9 @@ def test_conjugate_gradients_solve() -> None:
 
 
 def test_windows() -> None:
-    assert SlidingWindows(3, 2).plan(8) == [(0, 2), (1, 4), (3, 6), (4, 7)]
+    once = [(0, 2), (1, 4), (3, 6), (4, 7)]
+    assert SlidingWindows(3, 2, 1).plan(8) == once
+    assert SlidingWindows(3, 2, 3).plan(8) == 3 * once
     assert GrowingWindows(3, 2, 2).plan(8) == [(0, 3), (0, 5), (0, 7), (0, 7)]
 
 

@@ -45,16 +45,18 @@ class SlidingWindows(Windows):
     Args:
         lag: frames whose forces are found together.
         stride: frames by which the window advances.
+        repeats: how often the clip is gone through.
     """
 
-    def __init__(self, lag: int, stride: int) -> None:
+    def __init__(self, lag: int, stride: int, repeats: int) -> None:
         self.lag = lag
         self.stride = stride
+        self.repeats = repeats
 
     def plan(self, n_frames: int) -> list[tuple[int, int]]:
         """See Windows."""
         ends = [*range(self.stride, n_frames - 1, self.stride), n_frames - 1]
-        return [(max(0, end - self.lag), end) for end in ends]
+        return [(max(0, end - self.lag), end) for end in ends] * self.repeats
 
 
 class GrowingWindows(Windows):
@@ -232,10 +234,12 @@ class TrackingRecipe(Recipe):
                 raise ValueError("a stage that fits tracked positions needs a stage that tracks before it")
             self._term = TrackedPositionTerm(self._tracked, settings)
             return
-        features = contrast_features(scene.frames, scene.masks, settings.blur, settings.neighbourhood)
+        scales = settings.blur, settings.neighbourhood
+        features = contrast_features(scene.frames, scene.masks, *scales)
+        reference = contrast_features(settings.reference(reconstruction)[None], scene.masks[:1], *scales)[0]
         points = grid_points(scene.grid, settings.per_side, _JITTER, self._seed)
         self._term = TexturePointTerm(
-            features, scene.camera, points, reconstruction.template.numpy(), settings
+            features, reference, scene.camera, points, reconstruction.template.numpy(), settings
         )
         self._stage = stage
 
