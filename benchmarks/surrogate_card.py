@@ -51,8 +51,8 @@ from surrogate.stability import (
     stability_solver,
 )
 
+from toile.atomic_file import write_text
 from toile.errors import InputError
-from toile.reports.atomic_file import write_text
 from toile.simulators.surrogate.weights import describe_weights, packaged_weights
 
 ROOT = Path(__file__).resolve().parent.parent

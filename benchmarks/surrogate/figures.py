@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from surrogate.accuracy import MOTION
 from surrogate.contenders import FLOOR, SOLVER
 from surrogate.tables import WANTED
-from toile.reports.atomic_file import written_atomically
+from toile.atomic_file import written_atomically
 from toile.reports.figures import STYLE
 from toile.reports.palette import MUTED, SERIES
 

@@ -17,7 +17,7 @@ import pandas as pd
 import torch
 from bench_solver import machine
 
-from toile.reports.atomic_file import write_text
+from toile.atomic_file import write_text
 
 
 @dataclass(frozen=True)

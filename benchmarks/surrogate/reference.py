@@ -12,7 +12,7 @@ from torch import Tensor
 
 from surrogate.cases import Case
 from surrogate.contenders import CONVERGED, solver
-from toile.reports.atomic_file import written_atomically
+from toile.atomic_file import written_atomically
 from toile.simulators.base import SimulationError
 from toile.simulators.rollout import rollout
 

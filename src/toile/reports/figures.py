@@ -14,9 +14,9 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from toile.atomic_file import written_atomically
 from toile.errors import InputError
 from toile.evaluation.evaluate import EvaluationResult
-from toile.reports.atomic_file import written_atomically
 from toile.reports.palette import GROUND_TRUTH, INK, MUTED, RECONSTRUCTION, RULE, SERIES
 
 STYLE: Any = {

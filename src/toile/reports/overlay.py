@@ -14,8 +14,8 @@ import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 
+from toile.atomic_file import written_atomically
 from toile.geometry.camera import Camera
-from toile.reports.atomic_file import written_atomically
 
 Picture = npt.NDArray[np.uint8]
 

@@ -29,8 +29,8 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from toile.atomic_file import write_text, written_atomically
 from toile.errors import InputError
-from toile.reports.atomic_file import write_text, written_atomically
 
 T = TypeVar("T")
 

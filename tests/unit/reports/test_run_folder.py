@@ -7,9 +7,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from toile.atomic_file import written_atomically
 from toile.errors import InputError
 from toile.reports import run_folder as rf
-from toile.reports.atomic_file import written_atomically
 
 
 @pytest.fixture

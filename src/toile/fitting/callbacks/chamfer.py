@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import os
 from pathlib import Path
 from typing import Any, final
 
@@ -11,6 +10,7 @@ import torch
 from lightning import Callback, LightningModule, Trainer
 from torch import Tensor
 
+from toile.atomic_file import written_atomically
 from toile.evaluation.chamfer import CHAMFER_SCALE, chamfer_distance
 from toile.evaluation.target_points import target_points
 from toile.fitting.module import FitModule
@@ -93,13 +93,7 @@ def _read(file: Path) -> list[dict[str, float]]:
 
 def _write(file: Path, rows: list[dict[str, float]]) -> None:
     """Replace the table; there is always a complete one."""
-    file.parent.mkdir(parents=True, exist_ok=True)
-    temporary = file.with_suffix(".part")
-    try:
-        with temporary.open("w", newline="", encoding="utf-8") as lines:
-            writer = csv.DictWriter(lines, list(rows[0]))
-            writer.writeheader()
-            writer.writerows(rows)
-        os.replace(temporary, file)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with written_atomically(file) as temporary, temporary.open("w", newline="", encoding="utf-8") as lines:
+        writer = csv.DictWriter(lines, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)

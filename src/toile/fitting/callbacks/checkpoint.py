@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Any, final
 
 from lightning import Callback, LightningModule, Trainer
+
+from toile.atomic_file import written_atomically
 
 
 @final
@@ -42,10 +43,5 @@ class CycleCheckpoint(Callback):
             self._save(trainer)
 
     def _save(self, trainer: Trainer) -> None:
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = self.path.with_suffix(".part")
-        try:
+        with written_atomically(self.path) as temporary:
             trainer.save_checkpoint(temporary)
-            os.replace(temporary, self.path)
-        finally:
-            temporary.unlink(missing_ok=True)

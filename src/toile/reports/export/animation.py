@@ -9,9 +9,9 @@ import imageio.v3 as iio
 import numpy as np
 import numpy.typing as npt
 
+from toile.atomic_file import written_atomically
 from toile.errors import InputError
 from toile.geometry.mesh import grid_faces
-from toile.reports.atomic_file import written_atomically
 
 Y_UP = np.array([1.0, -1.0, -1.0])
 """OpenCV camera frame (x right, y down, z forward) to y up, z towards the viewer: half a turn about x."""

@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from toile.atomic_file import written_atomically
 from toile.geometry.mesh import vertex_normals
-from toile.reports.atomic_file import written_atomically
 from toile.reports.export.animation import ClothAnimation
 
 FLOAT, UNSIGNED_INT = 5126, 5125

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from toile.reports.atomic_file import write_text
+from toile.atomic_file import write_text
 from toile.reports.export.animation import ClothAnimation, write_texture
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from toile.reports.atomic_file import written_atomically
+from toile.atomic_file import written_atomically
 from toile.reports.export.animation import ClothAnimation, write_texture
 
 

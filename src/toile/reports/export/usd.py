@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdShade, Vt
 
+from toile.atomic_file import written_atomically
 from toile.errors import InputError
-from toile.reports.atomic_file import written_atomically
 from toile.reports.export.animation import ClothAnimation, write_texture
 
 SUFFIXES = (".usd", ".usda", ".usdc")

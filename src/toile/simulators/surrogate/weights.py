@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import torch
 
+from toile.atomic_file import written_atomically
 from toile.errors import InputError
 from toile.simulators.surrogate.surrogate import Surrogate
 
@@ -32,13 +32,9 @@ def save_weights(path: Path, surrogate: Surrogate, description: dict[str, str]) 
         "description": {str(k): str(v) for k, v in description.items()},
         "weights": {k: v.detach().cpu().contiguous() for k, v in surrogate.state_dict().items()},
     }
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        torch.save(content, temporary)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    # Given a path, torch would write the temporary file's name into the file.
+    with written_atomically(path) as temporary, temporary.open("wb") as file:
+        torch.save(content, file)
 
 
 def load_weights(path: Path | None = None) -> Surrogate:

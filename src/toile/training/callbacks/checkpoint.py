@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import os
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, final
 
 from lightning import Callback, LightningModule, Trainer
 
+from toile.atomic_file import written_atomically
 from toile.training.module import SurrogateTraining
 
 
@@ -40,13 +41,7 @@ class StepCheckpoint(Callback):
             self._save(trainer)
 
     def _save(self, trainer: Trainer) -> None:
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = self.path.with_suffix(".part")
-        try:
-            # All processes take part; the first one writes.
-            trainer.save_checkpoint(temporary)
-            if trainer.is_global_zero:
-                os.replace(temporary, self.path)
-        finally:
-            if trainer.is_global_zero:
-                temporary.unlink(missing_ok=True)
+        # All processes take part; the first one writes.
+        first = trainer.is_global_zero
+        with written_atomically(self.path) if first else nullcontext(self.path) as path:
+            trainer.save_checkpoint(path)
