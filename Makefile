@@ -72,6 +72,10 @@ surrogate-card: setup ## Measure the neural surrogate: docs/surrogate.md
 simulators: setup ## Fit R1 and a generated scene with solver, hybrid and surrogate
 	$(BIN)/python benchmarks/simulators.py
 
+.PHONY: stability
+stability: setup ## Fits 40 times longer than usual (SCENE=R1: half a day)
+	$(BIN)/python benchmarks/stability.py $(if $(SCENE),--scene $(SCENE))
+
 .PHONY: dashboard
 dashboard: setup ## Show the runs in outputs/ in TensorBoard
 	$(BIN)/tensorboard --logdir outputs

@@ -13,6 +13,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter, NullLocator, StrMethodFormatter
 
 from toile.atomic_file import written_atomically
 from toile.errors import InputError
@@ -158,6 +159,40 @@ def side_view(
         if ground_truth is not None:
             axes[0].scatter([], [], s=8, color=GROUND_TRUTH, label="ground truth")
         figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=8)
+    return figure
+
+
+def stability_curves(
+    curves: Mapping[str, tuple[npt.NDArray[np.floating], npt.NDArray[np.floating]]], title: str
+) -> Figure:
+    """Chamfer distance of fits that run longer than usual, as in the paper's Figure 8, on logarithmic axes.
+
+    Args:
+        curves: by label, lengths (n,) in units of the usual one and Chamfer distances (n,) [1e-4 m²].
+        title: of the figure.
+
+    Raises:
+        InputError: no curve.
+    """
+    if not curves:
+        raise _nothing("stability", "at least one curve", "none")
+    with mpl.rc_context(STYLE):
+        figure = _figure(7.2, 3.6)
+        axis = figure.add_subplot()
+        for (label, (lengths, distances)), colour in zip(curves.items(), _colours(len(curves)), strict=True):
+            axis.plot(lengths, distances, color=colour, label=label)
+        axis.axvline(1, color=INK, linewidth=0.9, linestyle=(0, (4, 3)))
+        axis.set_xscale("log")
+        axis.set_yscale("log")
+        ticks = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 40]
+        axis.set_xticks(ticks, ["usual length" if t == 1 else f"{t:g}×" for t in ticks])
+        axis.xaxis.set_minor_locator(NullLocator())
+        axis.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        axis.yaxis.set_minor_formatter(NullFormatter())
+        axis.set_xlabel("cycles, in units of the usual length")
+        axis.set_ylabel("Chamfer ×10⁴ [m²]")
+        axis.set_title(title)
+        axis.legend(fontsize=8)
     return figure
 
 
