@@ -48,10 +48,16 @@ class Cloth:
         return self.stencils.n_vertices
 
 
-def grid_masses(height: int, width: int, cloth_size: tuple[float, float], areal_density: float) -> Tensor:
-    """Vertex masses (H·W,) [kg] of a uniform sheet (paper, 3.1.3).
+def cell_shares(height: int, width: int) -> Tensor:
+    """Cells of a grid that belong to each vertex, (H, W): 1 inside, ½ on the border, ¼ at a corner."""
+    shares = torch.ones(height, width, dtype=torch.float64)
+    shares[[0, -1], :] *= 0.5
+    shares[:, [0, -1]] *= 0.5
+    return shares
 
-    An interior vertex weighs ρ times the area of a cell, one on the border ½ and one at a corner ¼ of it.
+
+def grid_masses(height: int, width: int, cloth_size: tuple[float, float], areal_density: float) -> Tensor:
+    """Vertex masses (H·W,) [kg] of a uniform sheet: ρ times the area of each vertex's cells (paper, 3.1.3).
 
     Args:
         height: number of vertices H along grid axis 0.
@@ -60,10 +66,7 @@ def grid_masses(height: int, width: int, cloth_size: tuple[float, float], areal_
         areal_density: ρ [kg/m²].
     """
     cell = cloth_size[0] * cloth_size[1] / ((height - 1) * (width - 1))
-    factor = torch.ones(height, width, dtype=torch.float64)
-    factor[[0, -1], :] *= 0.5
-    factor[:, [0, -1]] *= 0.5
-    return (areal_density * cell * factor).reshape(-1)
+    return (areal_density * cell * cell_shares(height, width)).reshape(-1)
 
 
 def uniform_rest_lengths(

@@ -142,6 +142,22 @@ class LinearizableSimulator(Simulator):
                 )
 
 
+def extrapolations(now: Tensor, past: Tensor) -> list[Tensor]:
+    """Linear and, if the past is long enough, quadratic continuation of a motion.
+
+    Args:
+        now: x_n (B, ...).
+        past: x_{n-1}, x_{n-2}, ... (B, K, ...), K ≥ 1.
+
+    Returns:
+        One or two tensors like ``now``.
+    """
+    found = [2 * now - past[:, 0]]
+    if past.shape[1] > 1:
+        found.append(3 * now - 3 * past[:, 0] + past[:, 1])
+    return found
+
+
 class _ImplicitStep(torch.autograd.Function):
     """x(x̂, k, f, anchors) = argmin Φ, with the adjoint H λ = ∂J/∂x of the optimality condition."""
 

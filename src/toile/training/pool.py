@@ -8,8 +8,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from toile.cloth.cloth import cell_shares
 from toile.errors import InputError
 from toile.simulators.implicit.integrators import BDF2, BackwardEuler
+from toile.simulators.linearizable import extrapolations
 from toile.simulators.surrogate.problem import StepProblem
 from toile.training.distributions import normal, uniform
 from toile.training.forces import ForceSampler, acceleration_field
@@ -75,11 +77,7 @@ class Pool:
     def __init__(self, settings: PoolSettings, generator: torch.Generator) -> None:
         self.settings = settings
         self.generator = generator
-        height, width = settings.grid
-        masses = torch.ones(height, width, device=generator.device)
-        masses[[0, -1]] *= 0.5
-        masses[:, [0, -1]] *= 0.5
-        self._masses = masses
+        self._masses = cell_shares(*settings.grid).to(generator.device, torch.float32)
         self._predictions = prediction_weights().to(generator.device)
         self.states = self._new(settings.size)
 
@@ -102,9 +100,8 @@ class Pool:
         weights = self._predictions[s.bdf2.long(), s.age.clamp(max=_HISTORY - 1)]
         prediction = (weights[:, :, None, None, None] * x).sum(1)
         accelerations = acceleration_field(s.steady, s.turbulence, self.settings.grid)
-        linear = 2 * x[:, 0] - x[:, 1]
-        quadratic = 3 * x[:, 0] - 3 * x[:, 1] + x[:, 2]
-        starts = torch.stack((x[:, 0], prediction + accelerations, linear, quadratic), 1)
+        continued = extrapolations(x[:, 0], x[:, 1:])
+        starts = torch.stack((x[:, 0], prediction + accelerations, *continued), 1)
         rows, columns = corner_indices(self.settings.grid)
         anchored = torch.zeros_like(prediction)
         anchored[:, rows, columns] = self._anchors(s).double()

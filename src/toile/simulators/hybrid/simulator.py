@@ -16,7 +16,7 @@ from toile.cloth.state import State
 from toile.simulators.base import Simulator, StepStatus
 from toile.simulators.implicit.integrators import Integrator
 from toile.simulators.implicit.newton import NewtonSettings, StepSolution, minimise_incremental_potential
-from toile.simulators.linearizable import LinearizableSimulator
+from toile.simulators.linearizable import LinearizableSimulator, extrapolations
 
 Array = NDArray[np.float64]
 
@@ -78,11 +78,10 @@ class HybridSimulator(LinearizableSimulator):
     def _starts(
         self, state: State, material: Material, forces: Tensor, anchors: Tensor, guess: Tensor | None
     ) -> Tensor:
-        candidates = [2 * state.positions - state.past[:, 0]]
+        candidates = extrapolations(state.positions, state.past)
         if self.predictor is not None:
-            candidates.append(self.predictor.step(state, material, forces, anchors).state.positions)
-        elif state.past.shape[1] > 1:
-            candidates.append(3 * state.positions - 3 * state.past[:, 0] + state.past[:, 1])
+            # Instead of the quadratic continuation.
+            candidates[1:] = [self.predictor.step(state, material, forces, anchors).state.positions]
         # No guess: where the corrections run out, the result depends on the start, and what a motion is must
         # follow from its past and its forces alone.
         return torch.stack(candidates, 1)

@@ -16,7 +16,7 @@ from toile.simulators.implicit.newton import (
     StepSolution,
     minimise_incremental_potential,
 )
-from toile.simulators.linearizable import LinearizableSimulator
+from toile.simulators.linearizable import LinearizableSimulator, extrapolations
 
 Array = NDArray[np.float64]
 
@@ -43,10 +43,7 @@ class ImplicitSimulator(LinearizableSimulator):
         self, state: State, material: Material, forces: Tensor, anchors: Tensor, guess: Tensor | None
     ) -> Tensor:
         """Candidate starts of Newton's method, (B, G, N, 3), detached: extrapolated past and warm start."""
-        now, past = state.positions.detach(), state.past.detach()
-        candidates = [2 * now - past[:, 0]]
-        if past.shape[1] > 1:
-            candidates.append(3 * now - 3 * past[:, 0] + past[:, 1])
+        candidates = extrapolations(state.positions.detach(), state.past.detach())
         if guess is not None:
             candidates.append(guess.detach())
         return torch.stack(candidates, 1)

@@ -9,14 +9,14 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from toile.cloth.cloth import Cloth
+from toile.cloth.cloth import Cloth, cell_shares
 from toile.cloth.material import Material
 from toile.cloth.state import State
 from toile.cloth.units import NetworkUnits
 from toile.simulators.base import StepStatus
 from toile.simulators.implicit.integrators import Integrator
 from toile.simulators.implicit.newton import Linearization, StepSolution, linearise
-from toile.simulators.linearizable import LinearizableSimulator
+from toile.simulators.linearizable import LinearizableSimulator, extrapolations
 from toile.simulators.surrogate.problem import StepProblem
 from toile.simulators.surrogate.weights import load_weights
 
@@ -77,14 +77,11 @@ class SurrogateSimulator(LinearizableSimulator):
     def _starts(
         self, state: State, material: Material, forces: Tensor, anchors: Tensor, guess: Tensor | None
     ) -> Tensor:
-        now, past = state.positions.detach(), state.past.detach()
+        now = state.positions.detach()
         # Standing still is among the starts: then backward Euler never gains energy (see docs/surrogate.md).
-        candidates = [now, 2 * now - past[:, 0]]
-        if past.shape[1] > 1:
-            candidates.append(3 * now - 3 * past[:, 0] + past[:, 1])
         # No guess: the network stops where its passes end, and what a motion is must follow from its past and
         # its forces alone.
-        return torch.stack(candidates, 1)
+        return torch.stack((now, *extrapolations(now, state.past.detach())), 1)
 
     @torch.no_grad()
     def _solve(
@@ -165,10 +162,7 @@ def _checked_grid(cloth: Cloth) -> tuple[int, int]:
         )
     if not bool(torch.allclose(cloth.rest_corner_angles, torch.tensor(torch.pi / 2).double())):
         raise ValueError("cloth: the surrogate expects right angles between warp and weft at rest")
-    height, width = cloth.grid
-    factor = torch.ones(height, width, dtype=torch.float64)
-    factor[[0, -1], :] *= 0.5
-    factor[:, [0, -1]] *= 0.5
-    if not bool(torch.allclose(cloth.masses, cloth.masses.max() * factor.reshape(-1), rtol=1e-3)):
+    uniform = cloth.masses.max() * cell_shares(*cloth.grid).reshape(-1)
+    if not bool(torch.allclose(cloth.masses, uniform, rtol=1e-3)):
         raise ValueError("cloth: the surrogate expects a uniform areal density")
     return cloth.grid
