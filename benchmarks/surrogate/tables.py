@@ -34,9 +34,14 @@ WANTED = {0.5: 1.0, 0.95: 5.0}
 
 
 def quantile(values: Sequence[float], share: float) -> float:
-    """The smallest value that at least this share does not exceed; what is not finite counts as infinite."""
-    ordered = sorted(v if math.isfinite(v) else math.inf for v in values)
-    return ordered[max(math.ceil(share * len(ordered)) - 1, 0)] if ordered else math.nan
+    """Linear between neighbours, as NumPy's and pandas' are; what is not finite counts as infinite."""
+    if not len(values):
+        return math.nan
+    ordered = np.sort([v if math.isfinite(v) else math.inf for v in values])
+    # NumPy's own is not a number beside what is infinite.
+    place = share * (len(ordered) - 1)
+    below, above = ordered[math.floor(place)], ordered[math.ceil(place)]
+    return float(above if math.isinf(above) else below + (place % 1) * (above - below))
 
 
 def number(value: float) -> str:
