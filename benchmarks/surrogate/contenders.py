@@ -27,6 +27,7 @@ LINE_SWEEPS = 12
 RELAXATION = f"no network, {LINE_SWEEPS} line sweeps"
 ONE_NEWTON_STEP = "one Newton step"
 TWO_NEWTON_STEPS = "up to two Newton steps"
+WITHOUT_NETWORK = (ONE_NEWTON_STEP, TWO_NEWTON_STEPS, RELAXATION, EXTRAPOLATION)
 SOLVER = "solver"
 FLOOR = "solver, start moved by 1e-4 edges"
 HYBRID_CORRECTIONS = (1, 2)

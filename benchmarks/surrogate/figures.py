@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -12,12 +13,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from surrogate.accuracy import MOTION
-from surrogate.contenders import FLOOR, SOLVER
+from surrogate.contenders import EXTRAPOLATION, FLOOR, SOLVER, WITHOUT_NETWORK
 from surrogate.tables import WANTED
 from toile.atomic_file import written_atomically
 from toile.reports.figures import STYLE
-from toile.reports.palette import MUTED, SERIES
+from toile.reports.palette import INK, MUTED, SERIES
 
+_COLOURS = (*SERIES, INK)
 _SMALLEST = 1e-3
 """Vertex error [% of width] below which nothing is told apart."""
 
@@ -48,8 +50,8 @@ def error_distributions(tables: dict[str, pd.DataFrame]) -> Figure:
                     share,
                     where="post",
                     label=name,
-                    color=MUTED if name == FLOOR else SERIES[place % len(SERIES)],
-                    linestyle=(0, (2, 2)) if name == FLOOR else "-",
+                    color=MUTED if name == FLOOR else _COLOURS[place % len(_COLOURS)],
+                    linestyle=_style(name),
                 )
             for wanted, limit in WANTED.items():
                 axis.plot([limit], [wanted], marker="x", color=MUTED, linestyle="none")
@@ -113,6 +115,13 @@ def energies(table: pd.DataFrame) -> Figure:
             axes[-1].plot([], [], color=SERIES[place], label=f"Y = {y:.3g}")
         axes[-1].legend(fontsize=7)
     return figure
+
+
+def _style(contender: str) -> Any:
+    """Lines of matplotlib: whole with the network, broken without."""
+    dashed = dict.fromkeys(WITHOUT_NETWORK, (5, 2))
+    broken = dashed | {EXTRAPOLATION: (5, 1.5, 1, 1.5), FLOOR: (1, 1.5)}
+    return (0, broken[contender]) if contender in broken else "-"
 
 
 def _figure(width: float, height: float) -> Figure:
