@@ -27,8 +27,8 @@ from toile.reports.figures import (
     save_figure,
     side_view,
 )
-from toile.reports.html import write_result_page
 from toile.reports.overlay import overlay_pictures, write_video
+from toile.reports.page.run_page import write_result_page
 from toile.reports.run_folder import RunFolder, write_history, write_metrics, write_trajectory
 from toile.reports.run_report import result_page, true_points
 from toile.scenes.scene import Scene

@@ -9,7 +9,7 @@ from omegaconf import DictConfig
 from toile.cli.configuration import instantiate
 from toile.cli.run_scene import run_scene
 from toile.cli.terminal import print_path
-from toile.reports.html import write_result_page
+from toile.reports.page.run_page import write_result_page
 from toile.reports.run_folder import open_run_folder, read_trajectory
 from toile.reports.run_report import result_page
 

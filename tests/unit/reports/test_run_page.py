@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import base64
 import dataclasses
+import json
 import math
 import re
 from pathlib import Path
@@ -10,8 +12,10 @@ import pandas as pd
 import pytest
 
 from toile.evaluation.evaluate import EvaluationResult, Metric
-from toile.reports.html import PagePicture, ReportedParameter, ResultPage, write_result_page
-from toile.reports.playback import distance_to_points, playback
+from toile.geometry.camera import Camera
+from toile.reports.cloth_fields import ClothField
+from toile.reports.page.run_page import PagePicture, ReportedParameter, ResultPage, write_result_page
+from toile.reports.page.viewer import Video
 
 
 def positions() -> np.ndarray:
@@ -34,6 +38,8 @@ def page() -> ResultPage:
             "R1", 3, 7, {"chamfer": chamfer, "depth_error": depth}, {"iou": "no renderer"}
         ),
         ground_truth=[x.reshape(-1, 3) for x in positions()],
+        error=ClothField("error", "Error", "mm", "To the truth.", np.arange(90.0).reshape(3, 5, 6)),
+        video=Video(Camera(10, 10, 3, 2, 4, 6), {"observed": [np.zeros((4, 6, 3), dtype=np.uint8)] * 3}),
         parameters=[ReportedParameter("stretching stiffness", 2961.2, "N/m", "fitted")],
         history=pd.DataFrame({"cycle": [0, 1], "loss": [1.0, 0.5], "Y": [1.0, 2.0]}),
         history_units={"Y": "N/m"},
@@ -53,7 +59,7 @@ def test_opens_with_the_answer_and_its_protocol(page: ResultPage) -> None:
     body = without_library(page.render())
     header = body[: body.index("</header>")]
     assert "3 frames" in header
-    assert "<strong>3.00 ×10⁻⁴ m²</strong> against ground truth" in header
+    assert re.search(r"against ground truth: <strong[^>]*>3\.00\s×10⁻⁴ m²</strong>", header)
     assert "Unaligned, Eq. 18" in header
 
 
@@ -61,18 +67,18 @@ def test_is_self_contained_and_holds_the_library_once(page: ResultPage) -> None:
     text = page.render()
     assert text.count("plotly.js v") == 1
     assert not re.search(r'(?:src|href)="(?!data:|#)', without_library(text))
-    assert "data:image/png;base64," in text
+    assert "data:image/webp;base64," in text
 
 
 def test_holds_every_part(page: ResultPage) -> None:
     body = without_library(page.render())
     for title in (
-        "Motion in 3D",
-        "Over the video",
-        "Error per frame",
+        "Error on the cloth",
+        "Metrics over time",
+        "Stiffness and forces",
         "All metrics",
-        "Parameters",
-        "Optimisation",
+        "Frames side by side",
+        "How it was made",
     ):
         assert f"<h2>{title}</h2>" in body
     assert "not measured: no renderer" in body
@@ -92,7 +98,8 @@ def test_without_ground_truth_says_so() -> None:
     body = without_library(ResultPage("S", positions(), 25.0).render())
     assert "no error can be given" in body
     assert "All metrics" not in body
-    assert "Motion in 3D" in body
+    assert 'id="playback"' in body
+    assert "Error on the cloth" not in body
 
 
 def test_is_reproducible(page: ResultPage, tmp_path: Path) -> None:
@@ -100,21 +107,44 @@ def test_is_reproducible(page: ResultPage, tmp_path: Path) -> None:
     assert path.read_text(encoding="utf-8") == dataclasses.replace(page).render()
 
 
-def test_playback_has_one_frame_per_frame_in_fixed_axes() -> None:
-    x = positions()
-    truth = [frame.reshape(-1, 3) + np.array([0.0, 0.0, 0.01]) for frame in x]
-    figure = playback(x, 25.0, truth)
-    assert [f.name for f in figure.frames] == ["0", "1", "2"]
-    surface = figure.frames[2].data[0]
-    np.testing.assert_allclose(surface.x, x[2, ..., 0], rtol=1e-6)
-    np.testing.assert_allclose(surface.y, x[2, ..., 2], rtol=1e-6)
-    np.testing.assert_allclose(surface.z, -x[2, ..., 1], atol=1e-7)
-    assert np.array(surface.surfacecolor).max() <= 10.0 + 1e-3
-    assert figure.layout.scene.yaxis.range[1] > x[..., 2].max()
-    assert figure.layout.updatemenus[0].buttons[0].args[1]["frame"]["duration"] == 40.0
+def viewer_data(page: ResultPage) -> dict:
+    found = re.search(r'id="viewer-data">(.*?)</script>', page.render(), flags=re.DOTALL)
+    assert found
+    return json.loads(found[1])
 
 
-def test_distance_to_points_is_per_vertex() -> None:
-    x = np.zeros((1, 2, 2, 3))
-    x[0, 1, 1, 0] = 3.0
-    assert distance_to_points(x, [np.array([[0.0, 4.0, 0.0]])])[0].tolist() == [[4.0, 4.0], [4.0, 5.0]]
+def decoded(text: str) -> np.ndarray:
+    return np.frombuffer(base64.b64decode(text), dtype="<f4")
+
+
+def test_viewer_holds_the_whole_motion_and_its_pictures(page: ResultPage) -> None:
+    content = viewer_data(page)
+    np.testing.assert_allclose(decoded(content["positions"]).reshape(3, 5, 6, 3), positions(), rtol=1e-6)
+    assert content["cloud"]["starts"] == [0, 30, 60, 90]
+    assert len(content["video"]["pictures"]["observed"]) == 3
+    assert (content["frames"], content["rows"], content["columns"], content["fps"]) == (3, 5, 6, 25.0)
+
+
+def test_text_cannot_leave_the_data_of_the_page(page: ResultPage) -> None:
+    hostile = "</script><script>alert(1)</script>"
+    assert page.error is not None
+    error = dataclasses.replace(page.error, unit=hostile, note=hostile)
+    history = pd.DataFrame({"cycle": [0, 1], hostile: [1.0, 2.0]})
+    bad = dataclasses.replace(
+        page,
+        scene=hostile,
+        error=error,
+        history=history,
+        history_units={hostile: hostile},
+        loss_columns=[hostile],
+    )
+    assert hostile not in bad.render()
+
+
+def test_parameters_in_two_units_share_a_row(page: ResultPage) -> None:
+    both = [ReportedParameter("bending", 0.5, "N·m"), ReportedParameter("bending", 2.0, "network units")]
+    body = without_library(dataclasses.replace(page, parameters=both).render())
+    row = body[body.index("<th>bending</th>") :]
+    row = row[: row.index("</tr>")]
+    assert "0.500" in row
+    assert "2.00" in row

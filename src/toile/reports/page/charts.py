@@ -1,0 +1,291 @@
+"""Plotly charts in the style of the pages."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+
+import numpy as np
+import numpy.typing as npt
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from toile.reports.cloth_fields import ClothField, Upright
+from toile.reports.palette import FONT, INK, MUTED, RULE, SERIES
+
+CURSOR = {"type": "line", "line": {"color": INK, "width": 1}, "x0": 0, "x1": 0, "y0": 0, "y1": 1}
+"""A line that viewer.js keeps at the current frame."""
+PANEL_HEIGHT = 215
+MAP_HEIGHT = 330
+ROW_HEIGHT = 30
+
+
+@dataclass(frozen=True)
+class Panel:
+    """A curve of its own small chart.
+
+    Attributes:
+        title: above it.
+        unit: of the values.
+        values: (n,); NaN where there is none.
+    """
+
+    title: str
+    unit: str
+    values: npt.NDArray[np.float64]
+
+
+def small_multiples(
+    panels: Sequence[Panel], x: npt.NDArray[np.floating], x_title: str, *, cursors: bool = False
+) -> go.Figure:
+    """One small chart per panel, up to three side by side.
+
+    Args:
+        panels: at least one.
+        x: shared (n,).
+        x_title: label of the x axes.
+        cursors: draw a line in each chart for the current frame.
+    """
+    columns = min(3, len(panels))
+    rows = -(-len(panels) // columns)
+    height = PANEL_HEIGHT * rows + 40
+    figure = make_subplots(
+        rows,
+        columns,
+        subplot_titles=[_titled(p.title, p.unit) for p in panels],
+        horizontal_spacing=0.07,
+        vertical_spacing=min(0.3, 80 / height) if rows > 1 else 0.0,
+    )
+    for k, panel in enumerate(panels):
+        at = {"row": k // columns + 1, "col": k % columns + 1}
+        figure.add_scatter(
+            x=x,
+            y=panel.values,
+            mode="lines+markers" if len(x) == 1 else "lines",
+            line={"color": SERIES[0], "width": 1.8},
+            showlegend=False,
+            hovertemplate=f"{x_title} %{{x}}: %{{y:.4g}} {escape(panel.unit)}<extra></extra>",
+            **at,
+        )
+        finite = panel.values[np.isfinite(panel.values)]
+        # A curve that hardly moves must not look like noise magnified; one from zero keeps proportions
+        # honest.
+        if finite.size and finite.min() >= 0 and finite.max() > 2 * finite.min():
+            figure.update_yaxes(rangemode="tozero", **at)
+        if cursors:
+            number = "" if k == 0 else str(k + 1)
+            figure.add_shape(**CURSOR, xref=f"x{number}", yref=f"y{number} domain")
+    figure.update_xaxes(title={"text": x_title, "font": {"size": 11}, "standoff": 4})
+    return plain(figure, height)
+
+
+def losses(columns: Mapping[str, npt.NDArray[np.float64]], cycles: npt.NDArray[np.float64]) -> go.Figure:
+    """Losses over the optimisation cycles on a logarithmic axis."""
+    figure = go.Figure()
+    for k, (name, values) in enumerate(columns.items()):
+        line = {"color": SERIES[k % len(SERIES)], "width": 1.8}
+        # A term that is switched off is zero, which a logarithmic axis cannot show.
+        shown = np.where(values > 0, values, np.nan)
+        figure.add_scatter(x=cycles, y=shown, name=name, line=line, mode="lines", showlegend=True)
+    figure.update_yaxes(type="log", title="loss", exponentformat="power", dtick=1)
+    figure.update_xaxes(title="cycle")
+    figure.update_layout(legend={"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0})
+    return plain(figure, 300)
+
+
+def field_maps(field: ClothField, upright: Upright, held: npt.NDArray[np.bool_]) -> go.Figure:
+    """Three maps: mean over time on the cloth, the current frame on the cloth, rows of the cloth over time.
+
+    Args:
+        field: values (F, H, W).
+        upright: how the cloth lies in the image.
+        held: (H, W), marked in the maps of the cloth.
+    """
+    values = upright(field.values)
+    frame = len(values) // 2
+    mean, over_time = _mean(values, 0), _mean(values, 2).T
+    figure = make_subplots(
+        1,
+        3,
+        column_widths=[0.29, 0.29, 0.42],
+        horizontal_spacing=0.045,
+        subplot_titles=["mean over time", f"frame {frame}", "rows of the cloth over time"],
+    )
+    unit = f" {field.unit}"
+    on_cloth, in_time = "row %{y}, column %{x}", "frame %{x}, row %{y}"
+    for k, (z, where) in enumerate(((mean, on_cloth), (values[frame], on_cloth), (over_time, in_time))):
+        figure.add_heatmap(
+            z=z.astype(np.float32),
+            coloraxis="coloraxis",
+            hovertemplate=f"{where}: %{{z:.3g}}{unit}<extra></extra>",
+            row=1,
+            col=k + 1,
+        )
+    rows, columns = np.nonzero(upright(held))
+    for k in (1, 2):
+        figure.add_scatter(
+            x=columns,
+            y=rows,
+            mode="markers",
+            marker={"symbol": "circle-open", "size": 8, "color": INK, "line": {"width": 1.5}},
+            hovertemplate="held<extra></extra>",
+            showlegend=False,
+            row=1,
+            col=k,
+        )
+        bare = {"constrain": "domain", "showticklabels": False, "ticks": "", "showgrid": False}
+        axis = "" if k == 1 else str(k)
+        figure.update_xaxes(scaleanchor=f"y{axis}", constraintoward="left", **bare, row=1, col=k)
+        figure.update_yaxes(autorange="reversed", constraintoward="top", **bare, row=1, col=k)
+    small = {"font": {"size": 11}, "standoff": 4}
+    figure.update_xaxes(title={"text": "frame", **small}, row=1, col=3)
+    figure.update_yaxes(autorange="reversed", title={"text": "row, from the top", **small}, row=1, col=3)
+    figure.add_shape(**CURSOR, xref="x3", yref="y3 domain")
+    figure.update_layout(
+        coloraxis={
+            "colorscale": [list(stop) for stop in field.scale],
+            "cmin": 0.0,
+            "cmax": field.limit,
+            "colorbar": {"title": {"text": field.unit}, "thickness": 12, "len": 1.0, "outlinewidth": 0},
+        }
+    )
+    return plain(figure, MAP_HEIGHT)
+
+
+@dataclass(frozen=True)
+class DotPanel:
+    """One quantity of several groups of runs.
+
+    Attributes:
+        title: above it.
+        unit: of the values.
+        values: for each group the value of every run.
+    """
+
+    title: str
+    unit: str
+    values: Sequence[Sequence[float]]
+
+
+def dots(groups: Sequence[str], names: Sequence[Sequence[str]], panels: Sequence[DotPanel]) -> go.Figure:
+    """Groups below each other; in every panel a dot per run and a bar at the group's mean.
+
+    Args:
+        groups: labels, from top to bottom.
+        names: for each group the names of its runs, shown when pointed at.
+        panels: side by side, with shared rows.
+    """
+    figure = make_subplots(
+        1,
+        len(panels),
+        shared_yaxes=True,
+        horizontal_spacing=0.04,
+        subplot_titles=[_titled(p.title, p.unit) for p in panels],
+    )
+    for column, panel in enumerate(panels, start=1):
+        for row, values in enumerate(panel.values):
+            colour = SERIES[row % len(SERIES)]
+            hover = f"%{{text}}: %{{x:.4g}} {escape(panel.unit)}<extra></extra>"
+            figure.add_scatter(
+                x=list(values),
+                y=[row] * len(values),
+                text=[escape(name) for name in names[row]],
+                mode="markers",
+                marker={"color": colour, "size": 9, "opacity": 0.75, "line": {"color": "white", "width": 1}},
+                hovertemplate=hover,
+                showlegend=False,
+                row=1,
+                col=column,
+            )
+            finite = [v for v in values if np.isfinite(v)]
+            if len(finite) > 1:
+                mean = float(np.mean(finite))
+                figure.add_scatter(
+                    x=[mean, mean],
+                    y=[row - 0.3, row + 0.3],
+                    mode="lines",
+                    line={"color": colour, "width": 2.5},
+                    hovertemplate=f"mean: %{{x:.4g}} {escape(panel.unit)}<extra></extra>",
+                    showlegend=False,
+                    row=1,
+                    col=column,
+                )
+    labels = [escape(label) for label in groups]
+    figure.update_yaxes(range=[len(groups) - 0.4, -0.6], tickmode="array", tickvals=list(range(len(groups))))
+    figure.update_yaxes(ticktext=labels, tickfont={"size": 12, "color": INK}, automargin=True, col=1)
+    figure.update_xaxes(nticks=5, rangemode="normal")
+    return plain(figure, ROW_HEIGHT * len(groups) + 90)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One run's curve.
+
+    Attributes:
+        name: of the run.
+        group: runs of one group share a colour and a legend entry.
+        values: (F,).
+    """
+
+    name: str
+    group: int
+    values: npt.NDArray[np.float64]
+
+
+def overlaid(curves: Sequence[Curve], groups: Sequence[str], x_title: str, y_title: str) -> go.Figure:
+    """Curves of several runs in one chart, coloured by group."""
+    figure = go.Figure()
+    named: set[int] = set()
+    for curve in curves:
+        figure.add_scatter(
+            x=np.arange(len(curve.values)),
+            y=curve.values,
+            mode="lines",
+            name=escape(groups[curve.group]),
+            legendgroup=str(curve.group),
+            showlegend=curve.group not in named and len(groups) > 1,
+            line={"color": SERIES[curve.group % len(SERIES)], "width": 1.5},
+            opacity=0.85,
+            hovertemplate=f"{escape(curve.name)}, {x_title} %{{x}}: %{{y:.4g}}<extra></extra>",
+        )
+        named.add(curve.group)
+    figure.update_xaxes(title=x_title)
+    figure.update_yaxes(title=y_title, rangemode="tozero")
+    figure.update_layout(legend={"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0})
+    return plain(figure, 340)
+
+
+def plain(figure: go.Figure, height: int) -> go.Figure:
+    """Give a figure the pages' style."""
+    figure.update_layout(
+        template="none",
+        height=height,
+        margin={"l": 52, "r": 12, "t": 34, "b": 42},
+        font={"color": MUTED, "size": 11.5, "family": FONT},
+        paper_bgcolor="white",
+        plot_bgcolor="white",
+        hoverlabel={"bgcolor": "white", "bordercolor": RULE, "font": {"color": INK, "size": 12}},
+        dragmode=False,
+    )
+    figure.update_layout(legend={"font": {"color": INK, "size": 12}})
+    figure.update_xaxes(gridcolor=RULE, zeroline=False, linecolor=RULE, fixedrange=True)
+    figure.update_yaxes(gridcolor=RULE, zeroline=False, fixedrange=True)
+    # Titles of the charts in a figure stand flush with their axes.
+    for k, title in enumerate(figure.layout.annotations):
+        axis = figure.layout["xaxis" if k == 0 else f"xaxis{k + 1}"]
+        title.update(x=axis.domain[0], xanchor="left", font={"size": 13, "color": INK})
+    return figure
+
+
+def _titled(title: str, unit: str) -> str:
+    return escape(f"{title} [{unit}]" if unit else title)
+
+
+def _mean(values: npt.NDArray[np.float64], axis: int) -> npt.NDArray[np.float64]:
+    """Mean over the values that there are; NaN where there are none, without a warning."""
+    known = np.isfinite(values)
+    count = known.sum(axis=axis)
+    total = np.where(known, values, 0.0).sum(axis=axis)
+    result: npt.NDArray[np.float64] = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    return result
