@@ -8,22 +8,19 @@ conjugate gradients.
 from __future__ import annotations
 
 import argparse
-import os
-import sys
 from pathlib import Path
 
-# The number of BLAS threads is read when numpy is imported.
-_THREADS = sys.argv[sys.argv.index("--threads") + 1] if "--threads" in sys.argv[:-1] else "1"
-os.environ["OPENBLAS_NUM_THREADS"] = _THREADS
+# Sets the number of BLAS threads before NumPy is loaded.
+from bench_solver import hanging_cloth, machine, markdown, milliseconds, write_csv
 
-import numpy as np  # noqa: E402
-import scipy.sparse as sp  # noqa: E402
-import scipy.sparse.linalg as spla  # noqa: E402
-from bench_solver import hanging_cloth, machine, markdown, milliseconds, write_csv  # noqa: E402
-from scipy.linalg import cho_factor, cho_solve  # noqa: E402
+# isort: split
+import numpy as np
+import scipy.sparse as sp
+import scipy.sparse.linalg as spla
+from scipy.linalg import cho_factor, cho_solve
 
-from toile.simulators.implicit.banded import BandedCholesky  # noqa: E402
-from toile.simulators.implicit.integrators import BDF2  # noqa: E402
+from toile.simulators.implicit.banded import BandedCholesky
+from toile.simulators.implicit.integrators import BDF2
 
 HEADER = ["solver", "factorise [ms]", "solve [ms]", "total [ms]", "relative residual", "note"]
 

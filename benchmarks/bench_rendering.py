@@ -12,6 +12,10 @@ import math
 import time
 from collections.abc import Callable
 
+# Sets the number of BLAS threads before NumPy is loaded.
+import toile.cli  # noqa: F401
+
+# isort: split
 import torch
 from torch import Tensor
 

@@ -16,10 +16,13 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-# The number of BLAS threads is read when numpy is imported.
+# The number of BLAS threads is read when NumPy is loaded; toile.cli sets it where it is not set.
 _THREADS = sys.argv[sys.argv.index("--threads") + 1] if "--threads" in sys.argv[:-1] else "1"
-os.environ.setdefault("OPENBLAS_NUM_THREADS", _THREADS)
+os.environ["OPENBLAS_NUM_THREADS"] = _THREADS
 
+import toile.cli  # noqa: E402, F401
+
+# isort: split
 import numpy as np  # noqa: E402
 import torch  # noqa: E402
 from numpy.typing import NDArray  # noqa: E402
