@@ -39,6 +39,7 @@ from surrogate.contenders import (
 )
 from surrogate.gradients import LAST_FRAMES, TARGET, gradients
 from surrogate.records import Records, fingerprint
+from surrogate.speed import STEPS as SPEED_STEPS
 from surrogate.speed import speed
 from surrogate.stability import (
     GRAVITY_NUMBER,
@@ -237,7 +238,12 @@ def write_card(docs: Path, records: Records, weights: Path, passes: list[int], e
             f"deviates smoothly from the solver's motion by about {100 * TARGET:g} % of the width."
         )
     if "speed" in known:
+        about = known["speed"].about
         words["speed"] = tables.speed_table(known["speed"].table)
+        words["speed_conditions"] = (
+            f"Median of {about['settings']['repeats']} rounds of {SPEED_STEPS} steps, all in turn. "
+            + _busy(about["load before"])
+        )
     text = re.sub(r"\{\{(\w+)\}\}", lambda m: words.get(m[1], MISSING), TEMPLATE.read_text(encoding="utf-8"))
     text = re.sub(r"!\[.*\]\((.*)\)", lambda m: m[0] if (docs / m[1]).exists() else MISSING, text)
     print(f"written: {write_text(docs / 'surrogate.md', text)}")
@@ -261,6 +267,16 @@ def _made(abouts: list[dict[str, Any]]) -> str:
             f"{words}: {seconds} s from {first['date']}, load {first['load before']} before{of}; {size}."
         )
     return "\n\n".join(lines)
+
+
+def _busy(load: float) -> str:
+    """What else ran while times were taken."""
+    if load < 0.5:
+        return "The machine was idle otherwise."
+    return (
+        f"Other programs kept the machine busy (load {load} before): caches and memory were shared, so that "
+        "the ratios mean more than the times."
+    )
 
 
 def _stability_protocol(settings: dict[str, Any]) -> str:

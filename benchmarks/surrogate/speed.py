@@ -1,4 +1,8 @@
-"""Time of a step, alone and in batches, beside the converged solver in the same run."""
+"""Time of a step, alone and in batches, beside the converged solver in the same run.
+
+Processor time of this process: with one thread it is the time on the clock of an idle machine, and what else
+runs on the machine changes it little.
+"""
 
 from __future__ import annotations
 
@@ -44,14 +48,14 @@ def speed(
                 for name, build in {SOLVER: solver, **contenders}.items()
             }
             times: dict[str, list[float]] = {name: [] for name in simulators}
-            # In turn, so that a busy machine slows all of them alike; the first round warms up.
+            # In turn, so that whatever slows the machine slows all of them alike; the first round warms up.
             for turn in range(repeats + 1):
                 for name, simulator in simulators.items():
-                    started = time.perf_counter()
+                    started = time.process_time()
                     with Saddles():
                         _run(simulator, part, begin, linearize)
                     if turn:
-                        times[name].append(1e3 * (time.perf_counter() - started) / STEPS)
+                        times[name].append(1e3 * (time.process_time() - started) / STEPS)
             reference = float(np.median(times[SOLVER]))
             for name, measured in times.items():
                 low, median, high = np.percentile(measured, [25, 50, 75])
