@@ -111,3 +111,31 @@ def test_the_first_pass_of_the_default_recipe_can_be_left_out() -> None:
     assert without.track.windows.lag == 6
     longer = compose("fit", overrides=["optimization.stages.track.windows.lag=9"]).optimization.stages
     assert longer.calibrate.windows.lag == 9
+
+
+def apart_from_callbacks(base: str, other: str) -> dict[str, Any]:
+    return {
+        key: value
+        for key, value in changes(settings(base), settings(other)).items()
+        if not key.startswith("callbacks.")
+    }
+
+
+def test_the_stability_experiment_is_the_papers_but_for_its_length() -> None:
+    assert apart_from_callbacks("experiment=paper", "experiment=stability") == {"optimization.cycles": 10000}
+
+
+def test_the_stability_of_the_default_recipe_is_tested_by_more_passes() -> None:
+    track = "optimization.stages.track.windows"
+    changed = apart_from_callbacks("optimization=tracking", "experiment=stability_tracking")
+    assert {k: v for k, v in changed.items() if not k.startswith("optimization.stages.calibrate.")} == {
+        f"{track}.repeats": 79
+    }
+    usual = compose("fit", []).optimization.stages
+    longer = compose("fit", ["experiment=stability_tracking"]).optimization.stages
+    assert longer.calibrate.windows == usual.calibrate.windows
+    # One pass of calibration and one of tracking is what a fit does.
+    assert 1 + longer.track.windows.repeats == 40 * (1 + usual.track.windows.repeats)
+    # Both passes still take their windows from one place.
+    wider = compose("fit", ["experiment=stability_tracking", f"{track}.lag=9"]).optimization.stages
+    assert wider.calibrate.windows.lag == 9

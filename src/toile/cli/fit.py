@@ -14,6 +14,7 @@ from lightning.pytorch.trainer.states import TrainerStatus
 from omegaconf import DictConfig
 
 from toile.cli.configuration import instantiate, output_folder, resolved_yaml
+from toile.cli.dashboard import write_final_numbers
 from toile.cli.fit_results import (
     final_trajectory,
     residual_force,
@@ -62,6 +63,7 @@ def run(cfg: DictConfig) -> None:
         out_of_balance=residual_force(module.reconstruction, trajectory),
     )
     write_numbers(folder, module, trajectory, evaluation, time.perf_counter() - started)
+    write_final_numbers(cfg, folder, config)
     write_pictures(folder, module, trajectory, evaluation, cfg.report)
     print_evaluation(evaluation)
     print_path(folder.path)

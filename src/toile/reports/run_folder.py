@@ -8,6 +8,8 @@
       metrics.json      numbers, with their protocols
       trajectory.npz    positions (F, H, W, 3) float64 [m], camera frame; fps; one array per parameter
       history.csv       one row per optimisation cycle
+      chamfer.csv       Chamfer distance over the cycles, where there is ground truth
+      tensorboard/      events for TensorBoard
       overlay.mp4       observed | rendered | difference | wireframe (overlay.gif where there is no encoder)
       figures/          PNG figures
       index.html        the result page
@@ -67,6 +69,11 @@ class RunFolder:
     def history(self) -> Path:
         """One row per optimisation cycle (CSV)."""
         return self.path / "history.csv"
+
+    @property
+    def dashboard(self) -> Path:
+        """Folder of TensorBoard's events."""
+        return self.path / "tensorboard"
 
     @property
     def overlay_video(self) -> Path:

@@ -9,12 +9,10 @@ from typing import Any
 import pytest
 import torch
 from lightning import Callback, Trainer
-from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from toile.fitting.adam.recipe import SuccessiveFramesAdam
 from toile.fitting.callbacks.checkpoint import CycleCheckpoint
 from toile.fitting.callbacks.progress import FitProgress
-from toile.fitting.callbacks.tensorboard import CurveLogger, PictureLogger
 from toile.fitting.module import Cycles, FitModule
 from toile.fitting.reconstruction import Reconstruction
 
@@ -40,9 +38,7 @@ class StopAt(Callback):
             raise StoppedError
 
 
-def fit(
-    module: FitModule, *callbacks: Callback, checkpoint: Path | None = None, logger: Any = False
-) -> FitModule:
+def fit(module: FitModule, *callbacks: Callback, checkpoint: Path | None = None) -> FitModule:
     trainer = Trainer(
         accelerator="cpu",
         devices=1,
@@ -50,7 +46,7 @@ def fit(
         enable_checkpointing=False,
         enable_progress_bar=False,
         enable_model_summary=False,
-        logger=logger,
+        logger=False,
         log_every_n_steps=1,
         callbacks=list(callbacks),
     )
@@ -133,28 +129,6 @@ def test_roll_back_undoes_half_a_cycle(problem: MakeProblem, adam: MakeAdam) -> 
         fit(module, StopAt(4, spoil=True))
     module.roll_back()
     assert_identical(module, fit(reference))
-
-
-def test_tensorboard_gets_curves_pictures_and_meshes(
-    problem: MakeProblem, adam: MakeAdam, tmp_path: Path
-) -> None:
-    from lightning.pytorch.loggers import TensorBoardLogger
-
-    logger = TensorBoardLogger(tmp_path, name="", version="")
-    fit(
-        FitModule(problem(), adam(cycles=3), 0),
-        CurveLogger(),
-        PictureLogger(every=2, frames=2),
-        logger=logger,
-    )
-    events = EventAccumulator(str(tmp_path))
-    events.Reload()
-    tags = events.Tags()
-    assert {"fit/loss", "fit/loss_image", "fit/stretching_network_units"} <= set(tags["scalars"])
-    assert [e.step for e in events.Scalars("fit/loss")] == [0, 1, 2]
-    assert tags["images"] == ["frame 000", "frame 002"]
-    assert [e.step for e in events.Images("frame 000")] == [1, 2]
-    assert any("mesh 002" in tag for tag in tags["tensors"])
 
 
 def test_progress_as_log_lines(

@@ -6,13 +6,13 @@ import csv
 from pathlib import Path
 from typing import Any, final
 
-import torch
 from lightning import Callback, LightningModule, Trainer
 from torch import Tensor
 
 from toile.atomic_file import written_atomically
 from toile.evaluation.chamfer import CHAMFER_SCALE, chamfer_distance
 from toile.evaluation.target_points import target_points
+from toile.fitting.callbacks.tensorboard import spread_frames
 from toile.fitting.module import FitModule
 
 CHAMFER_TAG = "accuracy/chamfer_x1e4_m2"
@@ -56,8 +56,7 @@ class ChamferLogger(Callback):
         scene = pl_module.reconstruction.scene
         chosen = list(range(scene.n_frames))
         if self.frames is not None and self.frames < scene.n_frames:
-            # Evenly spread and without frame 0, which is the template and right in every fit.
-            chosen = torch.linspace(0, scene.n_frames - 1, self.frames + 1).round().int().tolist()[1:]
+            chosen = spread_frames(scene.n_frames, self.frames)
         points, _ = target_points(scene.ground_truth, chosen, self.seed)
         self._targets = dict(zip(chosen, points, strict=True)) if points else {}
         self.rows = [row for row in _read(self.file) if row[CYCLE] < pl_module.cycles_done]
