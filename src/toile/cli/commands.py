@@ -28,6 +28,16 @@ COMMANDS = {
     ),
     "generate": Command("toile.cli.generate", "make a synthetic scene with ground truth", ""),
     "train": Command("toile.cli.train", "train the neural surrogate of a step", "training=cpu"),
+    "masks": Command(
+        "toile.cli.masks",
+        "cut the cloth out of your own video: frames and masks",
+        "video=<file> scene=<new folder> method.box=[x0,y0,x1,y1]",
+    ),
+    "template": Command(
+        "toile.cli.template",
+        "make the template of your own video from a mesh, points or a flat sheet",
+        "scene=<folder> surface=points surface.file=<file> camera.file=<file>",
+    ),
     "doctor": Command("toile.cli.doctor", "look for what is wrong with a scene", "scene=R1"),
 }
 

@@ -109,7 +109,7 @@ def write_mesh(
 
 
 def read_point_cloud(path: Path | str) -> Tensor:
-    """Read a point cloud (N, 3), float32, from .pt (a tensor), .npy or a format of trimesh (.ply, .xyz).
+    """Read a point cloud (N, 3), float32, from .pt (a tensor), .npy, .obj (vertices) or a format of trimesh.
 
     Tensors are read with ``weights_only=True``, arrays without pickle, so no code in the file can run.
 
@@ -175,7 +175,11 @@ def _read_points_by_trimesh(path: Path) -> Tensor:
     return torch.from_numpy(np.array(vertices, dtype=np.float32))
 
 
-_READERS = {".pt": _read_points_by_tensor, ".npy": _read_points_by_array}
+def _read_points_by_mesh(path: Path) -> Tensor:
+    return read_mesh(path).vertices
+
+
+_READERS = {".pt": _read_points_by_tensor, ".npy": _read_points_by_array, ".obj": _read_points_by_mesh}
 
 
 def _decimal(values: np.ndarray) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
@@ -67,3 +68,21 @@ def bounding_box(mask: Tensor, margin: int = 0) -> Box:
     top, left = max(int(rows[0]) - margin, 0), max(int(columns[0]) - margin, 0)
     bottom, right = min(int(rows[-1]) + 1 + margin, h), min(int(columns[-1]) + 1 + margin, w)
     return Box(top, left, bottom - top, right - left)
+
+
+def outline_of(mask: Tensor, blur: float = 1.0) -> npt.NDArray[np.float64]:
+    """The longest closed outline of a mask, (n, 2) [px], at the level 0.5 between pixel centres.
+
+    Args:
+        mask: (h, w), inside above 0.5; it may touch the image border.
+        blur: standard deviation [px] of a Gaussian that takes off the steps of the pixels.
+    """
+    from contourpy import contour_generator
+    from scipy import ndimage
+
+    margin = 1 + int(4 * blur)
+    soft = ndimage.gaussian_filter(np.pad((mask.numpy() > 0.5).astype(np.float64), margin), blur)
+    lines = [np.asarray(line, dtype=np.float64) for line in contour_generator(z=soft).lines(0.5)]
+    # Closed: the last point is the first one.
+    longest = max(lines, key=len)[:-1]
+    return longest - margin + 0.5

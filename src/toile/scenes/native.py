@@ -436,13 +436,20 @@ def _surplus(folder: Path, files: dict[str, str], n: int) -> list[Finding]:
     return findings
 
 
-def _write_files(scene: Scene, folder: Path) -> None:
+def write_without_images(scene: Scene, folder: Path, n_frames: int) -> None:
+    """Write ``scene.json``, the template and the texture into a folder that exists.
+
+    Args:
+        scene: the scene; its frames, masks and ground truth are not written.
+        folder: target.
+        n_frames: number of frames that are, or will be, in the folder.
+    """
     H, W = scene.grid
     camera = scene.camera
     description = {
         "id": scene.name,
         "fps": scene.fps,
-        "n_frames": scene.n_frames,
+        "n_frames": n_frames,
         "image_size": [camera.height, camera.width],
         "K": [[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]],
         "gravity": scene.gravity.tolist(),
@@ -465,6 +472,10 @@ def _write_files(scene: Scene, folder: Path) -> None:
         scene.texture_coordinates.reshape(-1, 2),
     )
     write_image(folder / FILES["texture"], scene.texture)
+
+
+def _write_files(scene: Scene, folder: Path) -> None:
+    write_without_images(scene, folder, scene.n_frames)
     for key, images in (("rgb", scene.frames), ("mask", scene.masks)):
         paths = _sequence(folder, FILES[key], scene.n_frames)
         paths[0].parent.mkdir()
