@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
+from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 from torch.utils.tensorboard import SummaryWriter
 from torch.utils.tensorboard.summary import hparams
 
@@ -18,6 +19,8 @@ FINAL_METRICS = {
     "final/silhouette_iou": "silhouette_iou",
 }
 """Tags of the numbers by which runs are compared, and the metric each comes from."""
+FIRST_CHOICES = ("scene", "optimization", "ablation", "simulator", "seed")
+"""What sweeps usually go over; the others are a tick away."""
 FINAL_SECONDS = "final/seconds_of_the_fit"
 
 
@@ -44,7 +47,9 @@ def write_dashboard(
         writer.add_text("machine", table(("", ""), list(numbers.get("machine", {}).items())), step)
         writer.add_text("configuration", f"```yaml\n{config.strip()}\n```", step)
         # SummaryWriter.add_hparams would make a folder of its own, and with it a second run.
-        for summary in hparams(dict(choices), metrics):
+        experiment, start, end = hparams(dict(choices), metrics)
+        _put_first(experiment, FIRST_CHOICES)
+        for summary in (experiment, start, end):
             writer.file_writer.add_summary(summary)
 
 
@@ -62,6 +67,15 @@ def table(head: tuple[str, ...], rows: list[tuple[Any, ...]]) -> str:
     """A table in Markdown."""
     lines = [head, ("---",) * len(head), *rows]
     return "\n".join("| " + " | ".join(str(c).replace("|", "&#124;") for c in line) + " |" for line in lines)
+
+
+def _put_first(experiment: Any, names: Collection[str]) -> None:
+    """TensorBoard shows five choices from the start: those marked as different, in alphabetical order."""
+    plugin = experiment.value[0].metadata.plugin_data
+    content = HParamsPluginData.FromString(plugin.content)
+    for choice in content.experiment.hparam_infos:
+        choice.differs = choice.name in names
+    plugin.content = content.SerializeToString()
 
 
 def _mean(numbers: Mapping[str, Any], key: str) -> float:

@@ -53,6 +53,7 @@ def test_runs_are_compared_by_the_same_choices_and_metrics(events: EventAccumula
     assert given["start: shearing"].number_value == 20
     experiment = plugin_data(metadata.EXPERIMENT_TAG).experiment
     assert {info.name for info in experiment.hparam_infos} == set(CHOICES)
+    assert {info.name for info in experiment.hparam_infos if info.differs} == {"scene", "ablation", "seed"}
     # Also those that this run has no value for, because TensorBoard reads the list of any one run.
     assert {info.name.tag for info in experiment.metric_infos} == {*FINAL_METRICS, FINAL_SECONDS}
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import signal
 from collections.abc import Callable
 from dataclasses import replace
@@ -15,6 +16,7 @@ import torch
 from lightning import Callback, Trainer
 from lightning.pytorch.strategies import DDPStrategy
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from tensorboard.plugins.custom_scalar.layout_pb2 import Layout
 
 from toile.errors import InputError
 from toile.fitting.quiet import quiet_lightning
@@ -211,6 +213,12 @@ def test_tensorboard_and_lines(
     assert lines == [f"epoch {k} of 3" for k in (1, 2, 3)]
     events = EventAccumulator(str(tmp_path))
     events.Reload()
+    config = events.Tensors("custom_scalars__config__")[0].tensor_proto.string_val[0]
+    charts = [chart for group in Layout.FromString(config).category for chart in group.chart]
+    assert len(charts) == 9
+    for chart in charts:
+        found = [tag for tag in events.Tags()["scalars"] if re.match(chart.multiline.tag[0], tag)]
+        assert found, chart.title
     tags = events.Tags()
     assert {"step/pass_1/accepted", "step/learning_rate", "epoch/energy/stretching"} <= set(tags["scalars"])
     assert [e.step for e in events.Scalars("step/learning_rate")] == [2, 4, 6, 8]

@@ -50,13 +50,12 @@ def fit_layout(columns: Iterable[str], *, chamfer: bool) -> Layout:
     names = [c for c in columns if c != "cycle"]
     terms = [c.removeprefix("loss ") for c in names if c.startswith("loss ")]
     # Charts of one title and different curves stay apart, so recipes are told from each other by the title.
-    losses = {
-        "loss": _chart("loss"),
-        f"terms of the loss: {', '.join(terms)}": _chart(*_matching("loss ", names)),
-    }
-    charts: Layout = {"losses": {k: v for k, v in losses.items() if v[1]}}
+    fit = {"loss": _chart("loss")}
+    if terms:
+        fit[f"terms of the loss: {', '.join(terms)}"] = _chart(*_matching("loss ", names))
     if chamfer:
-        charts["accuracy"] = {"Chamfer x1e4 [m²] over the cycles": ["Multiline", [_exactly(CHAMFER_TAG)]]}
+        fit["Chamfer x1e4 [m²] over the cycles"] = ["Multiline", [_exactly(CHAMFER_TAG)]]
+    charts: Layout = {"fit": fit}
     charts["stiffness, network units"] = {
         f"{name} {symbol}": _chart(f"{name} [network units]")
         for name, symbol in zip(ClothParameters.STIFFNESSES, "YSB", strict=True)

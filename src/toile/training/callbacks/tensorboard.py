@@ -12,6 +12,23 @@ from toile.training.module import SurrogateTraining
 from toile.training.pictures import pixels, pool_picture, residual_curve
 from toile.training.states import ClothStates
 
+LAYOUT: dict[str, dict[str, list[Any]]] = {
+    "training": {
+        "residual, median of the batch": ["Multiline", [r"step/pass_\d+/residual_0\.5$"]],
+        "change of the potential": ["Multiline", [r"step/pass_\d+/potential_change$"]],
+        "accepted": ["Multiline", [r"step/pass_\d+/accepted$"]],
+        "gradient norm": ["Multiline", ["step/gradient_norm$"]],
+        "learning rate": ["Multiline", ["step/learning_rate$"]],
+    },
+    "validation": {"residual of the rollout": ["Multiline", ["epoch/validation_residual/"]]},
+    "pool": {
+        "resets": ["Multiline", ["epoch/resets/"]],
+        "energies": ["Multiline", ["epoch/energy/"]],
+        "age": ["Multiline", ["epoch/pool_age/"]],
+    },
+}
+"""Charts of TensorBoard's Custom Scalars page: patterns that the tags of their curves begin with."""
+
 
 @final
 class CurveLogger(Callback):
@@ -23,6 +40,12 @@ class CurveLogger(Callback):
 
     def __init__(self, every: int) -> None:
         self.every = every
+
+    def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Tell TensorBoard which curves share a chart."""
+        for logger in trainer.loggers:
+            if isinstance(logger, TensorBoardLogger):
+                logger.experiment.add_custom_scalars(LAYOUT)
 
     def on_train_batch_end(
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
