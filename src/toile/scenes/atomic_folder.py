@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -35,3 +35,55 @@ def folder_written_atomically(folder: Path, *, overwrite: bool) -> Iterator[Path
         new.rename(folder)
     finally:
         shutil.rmtree(scratch)
+
+
+@contextmanager
+def entries_written_atomically(folder: Path, names: Sequence[str], *, overwrite: bool) -> Iterator[Path]:
+    """Folder beside ``folder`` to write to; what is in it moves to ``folder`` at the end, all or nothing.
+
+    Everything else in ``folder`` stays, and so does everything if anything fails.
+
+    Args:
+        folder: target; it need not exist.
+        names: files and folders that may be written; those of an earlier run go, written again or not.
+        overwrite: whether there may be such.
+
+    Raises:
+        InputError: one of them exists and ``overwrite`` is False.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise InputError("No folder", where=str(folder), expected="a folder, or nothing", got="a file")
+    there = [name for name in names if (folder / name).exists()]
+    if there and not overwrite:
+        raise InputError(
+            "Folder holds an earlier result",
+            where=str(folder),
+            expected="another folder, or overwrite=true",
+            got=", ".join(there),
+        )
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    scratch = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+    try:
+        new, old = scratch / "new", scratch / "old"
+        new.mkdir()
+        old.mkdir()
+        yield new
+        folder.mkdir(exist_ok=True)
+        _exchange(folder, new, old, names)
+    finally:
+        shutil.rmtree(scratch)
+
+
+def _exchange(folder: Path, new: Path, old: Path, names: Sequence[str]) -> None:
+    """Move ``names`` of ``folder`` to ``old``, those of ``new`` to ``folder``; undone if anything fails."""
+    moves = [(folder / name, old / name) for name in names] + [(new / name, folder / name) for name in names]
+    done: list[tuple[Path, Path]] = []
+    try:
+        for source, target in moves:
+            if source.exists():
+                source.rename(target)
+                done.append((source, target))
+    except BaseException:
+        for source, target in reversed(done):
+            target.rename(source)
+        raise

@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
@@ -32,9 +33,13 @@ def read_mask(path: Path) -> Tensor:
 
 def write_image(path: Path, image: Tensor) -> None:
     """Write (h, w, 3) or (h, w) in [0, 1] as an 8-bit PNG, rounded to the nearest level."""
+    write_levels(path, (image.detach().cpu().clamp(0, 1) * 255).round().to(torch.uint8).numpy())
+
+
+def write_levels(path: Path, levels: npt.NDArray[np.uint8]) -> None:
+    """Write (h, w, 3) or (h, w), uint8, as a PNG."""
     from PIL import Image
 
-    levels = (image.detach().cpu().clamp(0, 1) * 255).round().to(torch.uint8).numpy()
     Image.fromarray(levels).save(path, compress_level=4)
 
 

@@ -1,0 +1,1 @@
+"""Masks of the cloth in the frames of a clip."""

@@ -1,0 +1,52 @@
+"""Frames and masks of a clip as the beginning of a scene in the native layout."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from toile.scenes.images import write_levels
+from toile.scenes.native import FILES
+from toile.scenes.segmentation.base import Segmented
+from toile.scenes.segmentation.checks import MaskMeasures, measure
+from toile.scenes.video import Clip
+
+DESCRIPTION = "video.json"
+FOLDERS = tuple(str(Path(FILES[key]).parent) for key in ("rgb", "mask"))
+
+
+def write_frames(
+    folder: Path, clip: Clip, segmented: Iterable[Segmented], notes: Mapping[str, Any]
+) -> list[MaskMeasures]:
+    """Write rgbs/, masks/ and video.json into an existing folder.
+
+    Args:
+        folder: target.
+        clip: where the frames come from.
+        segmented: its frames with their masks, in order.
+        notes: what else video.json shall say, beside fps, width, height, frames and source (a file name).
+
+    Returns:
+        What the checks need to know of every mask.
+    """
+    for name in FOLDERS:
+        (folder / name).mkdir()
+    measures = []
+    for number, (frame, mask) in enumerate(segmented):
+        write_levels(folder / (FILES["rgb"] % number), frame)
+        write_levels(folder / (FILES["mask"] % number), np.where(mask, 255, 0).astype(np.uint8))
+        measures.append(measure(mask))
+    description = {
+        "fps": clip.fps,
+        "width": clip.width,
+        "height": clip.height,
+        "frames": len(measures),
+        "source": clip.path.resolve().name,
+        **notes,
+    }
+    (folder / DESCRIPTION).write_text(json.dumps(description, indent=1) + "\n")
+    return measures
