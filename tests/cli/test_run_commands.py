@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import json
 import os
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -216,3 +217,42 @@ def test_report_of_a_bare_trajectory(toile, run_folder: RunFolder) -> None:
     assert toile("report", "run=run", "scene=tiny").status == 0
     assert "no error can be given" in run_folder.page.read_text()
     assert len(read_trajectory(run_folder).positions) == 3
+
+
+def test_report_takes_plain_folders(toile, run_folder: RunFolder, tmp_path: Path) -> None:
+    status, out, _ = toile("report", "run", "scene=tiny", "output=there/page.html")
+    assert (status, out.strip()) == (0, str(Path("there/page.html")))
+    assert (tmp_path / "there" / "page.html").is_file()
+    assert not run_folder.page.exists()
+
+
+def test_report_of_several_runs(toile, run_folder: RunFolder, tmp_path: Path) -> None:
+    toile("evaluate", "run=run")
+    for name in ("it's, a=b", "other"):
+        shutil.copytree(run_folder.path, tmp_path / "sweep" / "deep" / name)
+    for arguments, page in (
+        (("sweep",), "sweep/report.html"),
+        (("run=sweep",), "sweep/report.html"),
+        (("sweep/deep/it's, a=b", "sweep/deep/other"), "sweep/deep/report.html"),
+        (("run", "sweep", "output=all.html"), "all.html"),
+    ):
+        status, out, err = toile("report", *arguments)
+        assert (status, err) == (0, "")
+        assert (tmp_path / out.strip()).samefile(tmp_path / page)
+    text = (tmp_path / "all.html").read_text()
+    assert "3 runs of tiny" in text
+    assert "sweep/deep/other" in text
+
+
+def test_report_of_nothing(toile, tmp_path: Path) -> None:
+    (tmp_path / "empty" / "below").mkdir(parents=True)
+    status, _, err = toile("report", "empty")
+    assert status == 2
+    assert "no run below" in err
+    status, _, err = toile("report")
+    assert status == 2
+    assert "say run=" in err
+
+
+def test_plain_arguments_are_left_to_hydra_elsewhere(toile) -> None:
+    assert toile("evaluate", "somewhere").status == 2

@@ -12,17 +12,24 @@ class Command(NamedTuple):
         module: module with ``run(cfg: DictConfig)``, imported only when the command is used.
         summary: one line for the overview.
         example: a call to learn from.
+        plain: setting that arguments without "=" are for, "" where there are none.
     """
 
     module: str
     summary: str
     example: str
+    plain: str = ""
 
 
 COMMANDS = {
     "fit": Command("toile.cli.fit", "reconstruct the cloth of one video", "scene=R1"),
     "evaluate": Command("toile.cli.evaluate", "measure a run against the ground truth", "run=<run folder>"),
-    "report": Command("toile.cli.report", "write the result page of a run", "run=<run folder>"),
+    "report": Command(
+        "toile.cli.report",
+        "write the page of a run, or of several side by side",
+        "<run folder> ...",
+        plain="run",
+    ),
     "export": Command(
         "toile.cli.export", "write a run for other programs", "run=<run folder> format=usd|glb|obj|ply"
     ),

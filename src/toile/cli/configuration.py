@@ -22,6 +22,7 @@ CONF = Path(toile.__file__).parent / "conf"
 """The configuration that comes with the package."""
 
 _HYDRA_SYNTAX = re.compile(r"""[()\[\]{}$'"=]""")
+_FLAGS_WITH_VALUE = {"--config-dir", "-cd", "--config-name", "-cn", "--config-path", "-cp", "--package", "-p"}
 # A run folder may come from somebody else: from its configuration, only these are ever called.
 _SCENE_TARGETS = {
     "toile.scenes.registry.load_scene",
@@ -58,9 +59,29 @@ def name_scenes(arguments: Sequence[str]) -> list[str]:
         if key != "scene" or usual or known.issuperset(names):
             result.append(argument)
         else:
-            quoted = ",".join("'" + name.replace("\\", "\\\\") + "'" for name in names)
+            quoted = ",".join(map(_quoted, names))
             result += ["scene=native", f"scene.name={quoted}"]
     return result
+
+
+def name_plain_arguments(arguments: Sequence[str], setting: str) -> list[str]:
+    """Let arguments without "=" stand for a setting: ``a b`` becomes ``run=['a','b']``, ``a`` ``run='a'``.
+
+    Args:
+        arguments: of the command line.
+        setting: of the command, e.g. "run"; "" leaves the arguments alone.
+    """
+    plain: list[str] = []
+    others: list[str] = []
+    for before, argument in pairwise(["", *arguments]):
+        flag = argument.startswith(("-", "~")) or before in _FLAGS_WITH_VALUE
+        # A folder may well be called seed=0.
+        override = "=" in argument and not Path(argument).exists()
+        (others if flag or override or not setting else plain).append(argument)
+    if not plain:
+        return list(arguments)
+    quoted = ",".join(map(_quoted, plain))
+    return [*others, f"{setting}={quoted}" if len(plain) == 1 else f"{setting}=[{quoted}]"]
 
 
 def instantiate(node: Any) -> Any:
@@ -116,6 +137,11 @@ def scene_settings(cfg: DictConfig, run_config: str, where: Path) -> DictConfig:
             got=", ".join(sorted(unexpected)),
         )
     return OmegaConf.create({**settings, "data_dir": cfg.paths.data})
+
+
+def _quoted(text: str) -> str:
+    """Text in Hydra's quotes."""
+    return "'" + text.replace("\\", "\\\\").replace("'", "\\'") + "'"
 
 
 def _with_tuples(value: Any) -> Any:

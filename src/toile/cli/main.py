@@ -54,7 +54,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(name: str, arguments: Sequence[str]) -> int:
     import hydra
 
-    from toile.cli.configuration import CONF, flags_first, name_scenes, register_resolvers
+    from toile.cli.configuration import (
+        CONF,
+        flags_first,
+        name_plain_arguments,
+        name_scenes,
+        register_resolvers,
+    )
     from toile.cli.failures import FULL_ERROR_VARIABLE, CommandError
 
     register_resolvers()
@@ -68,6 +74,7 @@ def _run(name: str, arguments: Sequence[str]) -> int:
             return _report(error, full)
     task = _reporting(importlib.import_module(COMMANDS[name].module).run, full)
     application = hydra.main(version_base="1.3", config_path=str(CONF), config_name=name)(task)
+    arguments = name_plain_arguments(arguments, COMMANDS[name].plain)
     argv = [f"toile {name}", *flags_first(name_scenes(arguments))]
     with _hydra_leaves_errors_to_us(FULL_ERROR_VARIABLE), _argv(argv):
         try:

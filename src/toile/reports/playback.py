@@ -41,7 +41,7 @@ def playback(
     figure = go.Figure(data=traces)
     figure.update_layout(
         template="none",
-        margin={"l": 0, "r": 0, "t": 0, "b": 0},
+        margin={"l": 0, "r": 40, "t": 0, "b": 0},
         paper_bgcolor="white",
         font={"color": INK, "size": 12, "family": FONT},
         scene=_scene(np.concatenate(everything)),
@@ -66,8 +66,8 @@ def _surface(shade: ClothField | None) -> go.Surface:
                 "tickfont": {"size": 11, "color": MUTED},
                 "thickness": 10,
                 "len": 0.55,
-                "x": 1.0,
-                "xanchor": "right",
+                "x": 0.98,
+                "xanchor": "left",
                 "outlinewidth": 0,
             },
         }
@@ -113,7 +113,7 @@ def _scene(points: npt.NDArray[np.floating]) -> dict[str, Any]:
     # Proportional, with the longest side 1, so that the cloth fills the view whatever its depth.
     extent = (high - low) + 2 * margin
     ratio = {axis: float(extent[k] / extent.max()) for k, axis in enumerate("xyz")}
-    eye = {"x": 0.6, "y": -1.25, "z": 0.28}
+    eye = {"x": 0.65, "y": -1.36, "z": 0.3}
     return {
         **axes,
         "aspectmode": "manual",

@@ -150,7 +150,9 @@ def field_maps(field: ClothField, upright: Upright, held: npt.NDArray[np.bool_])
             "colorbar": {"title": {"text": field.unit}, "thickness": 12, "len": 1.0, "outlinewidth": 0},
         }
     )
-    return plain(figure, MAP_HEIGHT)
+    plain(figure, MAP_HEIGHT)
+    figure.update_layout(margin={"l": 4})
+    return figure
 
 
 @dataclass(frozen=True)

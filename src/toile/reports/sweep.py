@@ -1,0 +1,236 @@
+"""Several runs read for a comparison."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from toile.errors import InputError
+from toile.evaluation.evaluate import EvaluationResult
+from toile.reports.run_folder import RunFolder, read_config, read_metrics, read_trajectory
+from toile.reports.run_settings import Difference, differences, read_settings
+
+UNFINISHED = "no metrics.json: interrupted, or still running"
+COMPARED_PARAMETERS = ("stretching [N/m]", "shearing [N·m]", "bending [N·m]")
+"""Parameters of trajectory.npz whose end values are compared."""
+# What every run of a sweep has of its own, or what has a column already.
+_NOT_A_CHOICE = ("scene", "scene.name", "seed", "hydra", "paths", "resume")
+
+
+@dataclass(frozen=True)
+class Run:
+    """A finished run.
+
+    Attributes:
+        folder: where it is.
+        name: its path below the sweep's folder.
+        evaluation: its metrics.
+        settings: its configuration as plain data, empty where it has none.
+        overrides: what was asked for on the command line, where that is known.
+        parameters: end values of the stiffnesses, by name with unit.
+        seconds: time of the fit [s], or None.
+    """
+
+    folder: RunFolder
+    name: str
+    evaluation: EvaluationResult
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    overrides: tuple[str, ...] = ()
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    seconds: float | None = None
+
+    @property
+    def seed(self) -> str:
+        """Seed of the fit, as text; that of the evaluation where the configuration says nothing."""
+        return str(self.settings.get("seed", self.evaluation.seed))
+
+
+@dataclass(frozen=True)
+class Unfinished:
+    """A run without a result.
+
+    Attributes:
+        folder: where it is.
+        name: its path below the sweep's folder.
+        reason: why, as far as that is known.
+    """
+
+    folder: RunFolder
+    name: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Group:
+    """Runs that differ in scene and seed only.
+
+    Attributes:
+        label: what sets them apart from the others.
+        runs: at least one.
+    """
+
+    label: str
+    runs: tuple[Run, ...]
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """Runs side by side.
+
+    Attributes:
+        folder: the folder they are all below.
+        runs: finished ones, by name.
+        unfinished: the others.
+        differences: settings in which the finished runs differ, other than scene and seed.
+        groups: the finished runs by those settings.
+    """
+
+    folder: Path
+    runs: tuple[Run, ...]
+    unfinished: tuple[Unfinished, ...]
+    differences: tuple[Difference, ...]
+    groups: tuple[Group, ...]
+
+    @property
+    def scenes(self) -> list[str]:
+        """Names of the scenes, in order of the runs."""
+        return list(dict.fromkeys(run.evaluation.scene for run in self.runs))
+
+
+def read_sweep(folders: Sequence[Path]) -> Sweep:
+    """Read all runs in and below some folders.
+
+    Args:
+        folders: run folders, or folders that hold run folders at any depth.
+
+    Raises:
+        InputError: there is no run below one of them.
+    """
+    found: dict[Path, None] = {}
+    for folder in folders:
+        below = list(_run_folders(folder))
+        if not below:
+            raise InputError(
+                "Not a run folder, and no run below it",
+                where=str(folder),
+                expected="a folder with metrics.json or config.yaml, or one that holds such folders",
+                got="a folder without any" if folder.is_dir() else "no such folder",
+            )
+        found.update(dict.fromkeys(path.resolve() for path in below))
+    common = folders[0].resolve() if len(folders) == 1 else Path(os.path.commonpath(list(found)))
+    read = [_read(RunFolder(path), _name(path, common)) for path in sorted(found)]
+    runs = tuple(r for r in read if isinstance(r, Run))
+    chosen = [d for d in differences([r.settings for r in runs]) if d.paths[0] not in ("seed", "scene.name")]
+    return Sweep(
+        folder=common,
+        runs=runs,
+        unfinished=tuple(r for r in read if isinstance(r, Unfinished)),
+        differences=tuple(chosen),
+        groups=_groups(runs, chosen),
+    )
+
+
+def _run_folders(folder: Path) -> Iterator[Path]:
+    """Folders of runs in and below a folder, hidden ones left out; a run holds no other run."""
+    for place, folders, files in os.walk(folder):
+        if "metrics.json" in files or _is_fit(Path(place), files):
+            folders.clear()
+            yield Path(place)
+        folders[:] = sorted(f for f in folders if not f.startswith("."))
+
+
+def _is_fit(folder: Path, files: Sequence[str]) -> bool:
+    """Whether an unfinished run may be a fit: trainings have a configuration too, but no scene."""
+    if "config.yaml" not in files:
+        return "failure.txt" in files
+    try:
+        return "scene" in read_settings(read_config(RunFolder(folder)), str(folder))
+    except InputError:
+        return True
+
+
+def _name(path: Path, common: Path) -> str:
+    return path.relative_to(common).as_posix() if path != common else path.name
+
+
+def _read(folder: RunFolder, name: str) -> Run | Unfinished:
+    """A run as far as it goes; one that cannot be read is unfinished, with the message as reason."""
+    try:
+        if folder.failure.is_file():
+            text = folder.failure.read_text(encoding="utf-8", errors="replace").strip()
+            return Unfinished(folder, name, _last_words(text))
+        if not folder.metrics.is_file():
+            return Unfinished(folder, name, UNFINISHED)
+        metrics = read_metrics(folder)
+        evaluation = EvaluationResult.from_dict(metrics)
+        settings = read_settings(read_config(folder), str(folder.config)) if folder.config.is_file() else {}
+        fit = metrics.get("fit")
+        seconds = fit.get("seconds of the fit") if isinstance(fit, dict) else None
+        return Run(
+            folder,
+            name,
+            evaluation,
+            settings,
+            _overrides(folder.path),
+            _parameters(folder),
+            float(seconds) if isinstance(seconds, int | float) else None,
+        )
+    except InputError as error:
+        return Unfinished(folder, name, str(error))
+
+
+def _last_words(text: str) -> str:
+    """The message, or the last line of a traceback."""
+    lines = text.splitlines() or ["failed without a message"]
+    return lines[-1] if lines[0].startswith("Traceback") else text
+
+
+def _parameters(folder: RunFolder) -> dict[str, float]:
+    if not folder.trajectory.is_file():
+        return {}
+    saved = read_trajectory(folder).parameters
+    return {n: float(saved[n]) for n in COMPARED_PARAMETERS if n in saved and np.size(saved[n]) == 1}
+
+
+def _overrides(folder: Path) -> tuple[str, ...]:
+    path = folder / ".hydra" / "overrides.yaml"
+    if not path.is_file():
+        return ()
+    try:
+        given = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, yaml.YAMLError):
+        return ()
+    return tuple(map(str, given)) if isinstance(given, list) else ()
+
+
+def _groups(runs: Sequence[Run], chosen: Sequence[Difference]) -> tuple[Group, ...]:
+    members: dict[tuple[str, ...], list[Run]] = {}
+    for k, run in enumerate(runs):
+        members.setdefault(tuple(d.values[k] for d in chosen), []).append(run)
+    labels = [_asked_for(found, runs) for found in members.values()]
+    if len(set(labels)) < len(labels):
+        # Not asked for in so many words: then what the configurations say.
+        labels = [
+            ", ".join(f"{d.name} = {v}" for d, v in zip(chosen, values, strict=True)) for values in members
+        ]
+    named = zip(labels, members.values(), strict=True)
+    return tuple(Group(label or "all runs", tuple(found)) for label, found in named)
+
+
+def _asked_for(members: Sequence[Run], runs: Sequence[Run]) -> str:
+    """What was asked for in a group and not in all runs, e.g. "ablation=no_turbulence"."""
+    everywhere = set(runs[0].overrides).intersection(*(r.overrides for r in runs))
+    within = set(members[0].overrides).intersection(*(r.overrides for r in members))
+    own = [o for o in members[0].overrides if o in within - everywhere and not _shared(o)]
+    return ", ".join(own) or ("as configured" if len(members) < len(runs) else "")
+
+
+def _shared(override: str) -> bool:
+    key = override.lstrip("+~").partition("=")[0]
+    return key in _NOT_A_CHOICE or key.partition(".")[0] in ("hydra", "paths")
