@@ -33,6 +33,13 @@ def test_round_trip(path):
     assert list(path.parent.iterdir()) == [path]
 
 
+def test_equal_weights_are_equal_files(tmp_path):
+    surrogate, files = Surrogate((4, 8)), [tmp_path / "one.pt", tmp_path / "two.pt"]
+    for file in files:
+        save_weights(file, surrogate, {"command": "toile train"})
+    assert files[0].read_bytes() == files[1].read_bytes()
+
+
 def test_the_package_has_weights():
     assert packaged_weights().is_file()
     assert packaged_weights().stat().st_size < 5e6
