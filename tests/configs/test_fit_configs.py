@@ -139,3 +139,16 @@ def test_the_stability_of_the_default_recipe_is_tested_by_more_passes() -> None:
     # Both passes still take their windows from one place.
     wider = compose("fit", ["experiment=stability_tracking", f"{track}.lag=9"]).optimization.stages
     assert wider.calibrate.windows.lag == 9
+
+
+@pytest.mark.parametrize(
+    ("override", "order"),
+    [
+        ("optimization=tracking", ["calibrate", "track"]),
+        ("experiment=stability_tracking", ["calibrate", "track"]),
+        ("optimization=identification", ["calibrate", "track", "match", "polish"]),
+    ],
+)
+def test_stages_run_in_the_order_they_are_meant_to(override: str, order: list[str]) -> None:
+    """They run as composed, and a group that is put into one of them could come before the others."""
+    assert list(compose("fit", [override]).optimization.stages) == order
