@@ -1,0 +1,149 @@
+"""The pages as a browser shows them; needs a Chromium."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.util
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from PIL import Image
+
+from toile.evaluation.evaluate import evaluate
+from toile.rendering.reference import ReferenceRenderer
+from toile.reports.cloth_fields import TURBULENCE
+from toile.reports.page.run_page import write_result_page
+from toile.reports.page.sweep_page import SweepPage, write_sweep_page
+from toile.reports.run_folder import (
+    RunFolder,
+    create_run_folder,
+    write_config,
+    write_history,
+    write_metrics,
+    write_trajectory,
+)
+from toile.reports.run_report import result_page
+from toile.reports.sweep import read_sweep
+from toile.scenes.scene import Scene
+
+_SPEC = importlib.util.spec_from_file_location(
+    "chromium", Path(__file__).parents[3] / "docs" / "images" / "chromium.py"
+)
+assert _SPEC is not None
+assert _SPEC.loader is not None
+chromium = importlib.util.module_from_spec(_SPEC)
+_SPEC.loader.exec_module(chromium)
+
+pytestmark = pytest.mark.skipif(chromium.executable() is None, reason="no Chromium found")
+
+WIDTH, HEIGHT = 1000, 1500
+# Notes every complaint of the page from its first script on.
+WATCH = """<script>
+window.trouble = [];
+addEventListener("error", (e) => trouble.push("error: " + e.message));
+addEventListener("unhandledrejection", (e) => trouble.push("rejected: " + e.reason));
+addEventListener("securitypolicyviolation", (e) => trouble.push("blocked: " + e.blockedURI));
+console.error = (...words) => trouble.push("console: " + words.join(" "));
+</script>"""
+# Once everything is drawn, says what the page is like; then moves the slider as a hand would.
+PROBE = """<script>
+const box = (id) => {
+  const place = document.getElementById(id);
+  if (!place) return null;
+  const { left, top, right, bottom } = place.getBoundingClientRect();
+  return [left, top, right, bottom].map(Math.round);
+};
+const waiting = setInterval(() => {
+  if (!document.documentElement.dataset.ready) return;
+  clearInterval(waiting);
+  const found = {
+    trouble,
+    requests: performance.getEntriesByType("resource").map((r) => r.name)
+      .filter((name) => !/^(data|blob):/.test(name)),
+    overflow: document.documentElement.scrollWidth - innerWidth,
+    boxes: { picture: box("frame-picture"), space: box("playback") },
+    undrawn: [...document.querySelectorAll("[data-figure]")].filter((p) => !p.querySelector("svg")).length,
+    clock: document.getElementById("clock")?.textContent,
+  };
+  const note = document.createElement("pre");
+  note.id = "probe";
+  note.hidden = true;
+  note.textContent = JSON.stringify(found);
+  document.body.append(note);
+}, 20);
+</script>"""
+
+
+def make_run(scene: Scene, folder: Path, off: float) -> RunFolder:
+    """A run that lies ``off`` metres behind the true motion."""
+    assert scene.ground_truth is not None
+    assert scene.ground_truth.vertices is not None
+    positions = scene.ground_truth.vertices.clone()
+    positions[..., 2] += off * positions[..., 0].abs() / 0.2
+    run = create_run_folder(folder)
+    turbulence = np.random.default_rng(0).normal(size=(scene.n_frames - 1, *scene.grid, 3))
+    parameters = {"bending [N·m]": 1e-4, TURBULENCE: turbulence}
+    write_trajectory(run, positions.numpy(), fps=scene.fps, parameters=parameters)
+    write_metrics(run, evaluate(positions, scene).to_dict())
+    write_history(run, pd.DataFrame({"cycle": [0, 1], "loss": [2.0, 1.0], "wind x [m/s²]": [0.0, 1.0]}))
+    write_config(run, f"scene: {{name: {scene.name}}}\noff: {off}\n")
+    return run
+
+
+def look(page: Path, address: str = "") -> tuple[dict[str, Any], np.ndarray]:
+    """What the page says about itself, and its picture (h, w, 3)."""
+    text = page.read_text(encoding="utf-8")
+    watched = page.with_name("watched.html")
+    watched.write_text(
+        text.replace("<title>", WATCH + "<title>", 1).replace("</body>", PROBE + "</body>"), encoding="utf-8"
+    )
+    picture = page.with_name("page.png")
+    dom = chromium.show(watched.as_uri() + address, picture, width=WIDTH, height=HEIGHT)
+    found = re.search(r'<pre id="probe"[^>]*>(.*?)</pre>', dom, flags=re.DOTALL)
+    assert found, "the page was never ready"
+    pixels = np.asarray(Image.open(picture).convert("RGB")).astype(int)
+    return json.loads(found[1].replace("&amp;", "&")), pixels
+
+
+def part(picture: np.ndarray, box: list[int]) -> np.ndarray:
+    left, top, right, bottom = box
+    return picture[max(top, 0) : bottom, left:right]
+
+
+def test_page_of_a_run(tiny_scene: Scene, tmp_path: Path) -> None:
+    run = make_run(tiny_scene, tmp_path / "run", 0.004)
+    page = result_page(run, tiny_scene, ReferenceRenderer(), 2)
+    write_result_page(dataclasses.replace(page, config="x" * 5000), run.page)
+    (first, before), (last, after) = look(run.page, "#frame=0"), look(run.page, "#frame=3")
+    for probe in (first, last):
+        assert probe["trouble"] == []
+        assert probe["requests"] == []
+        assert probe["overflow"] == 0
+        assert probe["undrawn"] == 0
+    assert first["clock"].startswith("frame 0 of 3")
+    assert last["clock"].startswith("frame 3 of 3")
+    for name in ("picture", "space"):
+        assert first["boxes"][name] == last["boxes"][name]
+        shown, later = part(before, first["boxes"][name]), part(after, last["boxes"][name])
+        # Painted, with more than a background and some lines ...
+        assert shown.std() > 8, name
+        assert (shown.min(axis=-1) < 235).mean() > 0.05, name
+        # ... and moved by the frame.
+        assert (np.abs(shown - later).max(axis=-1) > 20).mean() > 0.005, name
+
+
+def test_page_of_a_sweep(tiny_scene: Scene, tmp_path: Path) -> None:
+    for k, off in enumerate((0.001, 0.004)):
+        make_run(tiny_scene, tmp_path / "sweep" / str(k), off)
+    path = write_sweep_page(SweepPage(read_sweep([tmp_path / "sweep"]), tmp_path / "sweep" / "report.html"))
+    probe, picture = look(path)
+    assert probe["trouble"] == []
+    assert probe["requests"] == []
+    assert probe["overflow"] == 0
+    assert probe["undrawn"] == 0
+    assert picture.std() > 8
