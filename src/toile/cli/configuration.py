@@ -173,3 +173,7 @@ def _config_folders(arguments: Sequence[str]) -> list[Path]:
         if flag in ("--config-dir", "-cd"):
             found.append(Path(value if equals else following))
     return found
+
+
+# Here, because a launcher's worker process imports this module and calls nothing.
+register_resolvers()

@@ -11,7 +11,8 @@ from typing import Any
 
 from lightning import Trainer
 from lightning.pytorch.trainer.states import TrainerStatus
-from omegaconf import DictConfig
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig, OmegaConf
 
 from toile.cli.configuration import instantiate, output_folder, resolved_yaml
 from toile.cli.dashboard import write_final_numbers
@@ -22,26 +23,34 @@ from toile.cli.fit_results import (
     write_numbers,
     write_pictures,
 )
-from toile.cli.resume import last_checkpoint
+from toile.cli.resume import is_finished, last_checkpoint
 from toile.cli.terminal import print_evaluation, print_path
 from toile.errors import InputError
-from toile.evaluation.evaluate import evaluate
+from toile.evaluation.evaluate import EvaluationResult, evaluate
 from toile.fitting.module import Cycles, FitModule
 from toile.fitting.quiet import quiet_lightning
 from toile.fitting.reconstruction import Reconstruction
 from toile.fitting.scene_cloth import scene_units
-from toile.reports.run_folder import create_run_folder, write_config, write_git_revision
+from toile.reports.run_folder import create_run_folder, read_metrics, write_config, write_git_revision
 from toile.scenes.scene import Scene
 
 log = logging.getLogger(__name__)
 
 
-def run(cfg: DictConfig) -> None:
-    """Fit, evaluate, and fill the run folder; an interrupted fit leaves what it has and can be continued."""
+def run(cfg: DictConfig) -> float | None:
+    """Fit, evaluate, and fill the run folder; an interrupted fit leaves what it has and can be continued.
+
+    Returns:
+        Mean of the metric named by ``objective``, for the search for settings; None where there is none.
+    """
     started = time.perf_counter()
     quiet_lightning()
+    check_ablation_applies(cfg)
     folder = create_run_folder(output_folder())
     config = resolved_yaml(cfg)
+    if is_finished(folder, config):
+        print_path(folder.path, ": finished before with the same settings")
+        return objective(cfg, EvaluationResult.from_dict(read_metrics(folder)))
     checkpoint = last_checkpoint(folder, config)
     write_config(folder, config)
     write_git_revision(folder)
@@ -68,6 +77,43 @@ def run(cfg: DictConfig) -> None:
     print_evaluation(evaluation)
     print_path(folder.path)
     print_path(folder.page)
+    return objective(cfg, evaluation)
+
+
+def objective(cfg: DictConfig, evaluation: EvaluationResult) -> float | None:
+    """The mean of the metric that the configuration names, turned so that less is better.
+
+    Raises:
+        InputError: it was not measured.
+    """
+    if cfg.objective is None:
+        return None
+    metric = evaluation.metrics.get(cfg.objective)
+    if metric is None or math.isnan(metric.mean):
+        measured = [key for key, m in evaluation.metrics.items() if not math.isnan(m.mean)]
+        raise InputError(
+            "The objective was not measured",
+            where="objective",
+            expected=", ".join(measured) or "a scene with ground truth",
+            got=str(cfg.objective),
+        )
+    return -metric.mean if metric.higher_is_better else metric.mean
+
+
+def check_ablation_applies(cfg: DictConfig) -> None:
+    """Refuse an ablation that means nothing for the optimisation.
+
+    Raises:
+        InputError: there is no conf/ablation_of/<optimization>/<ablation>.yaml and the ablation needs one.
+    """
+    if OmegaConf.is_missing(cfg, "ablation"):
+        choices = HydraConfig.get().runtime.choices
+        raise InputError(
+            "The optimisation does not know this ablation",
+            where=f"ablation={choices['ablation']}",
+            expected=f"conf/ablation_of/{choices['optimization']}/{choices['ablation']}.yaml",
+            got="no such file",
+        )
 
 
 def check_losses_are_used(cfg: DictConfig) -> None:

@@ -54,16 +54,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(name: str, arguments: Sequence[str]) -> int:
     import hydra
 
-    from toile.cli.configuration import (
-        CONF,
-        flags_first,
-        name_plain_arguments,
-        name_scenes,
-        register_resolvers,
-    )
+    from toile.cli.configuration import CONF, flags_first, name_plain_arguments, name_scenes
     from toile.cli.failures import FULL_ERROR_VARIABLE, CommandError
+    from toile.cli.sweep import print_summary
 
-    register_resolvers()
     full = os.environ.get(FULL_ERROR_VARIABLE) == "1"
     if name in RESUMABLE:
         from toile.cli.resume import resume_arguments
@@ -85,6 +79,8 @@ def _run(name: str, arguments: Sequence[str]) -> int:
             return leaving.code if isinstance(leaving.code, int) else 0
         except Exception as error:
             return _report(error, full)
+        finally:
+            print_summary()
     return 0
 
 
@@ -94,11 +90,13 @@ def _reporting(run: Callable[[Any], Any], full: bool) -> Callable[[Any], Any]:
     from hydra.types import RunMode
 
     from toile.cli.failures import CommandError
+    from toile.cli.sweep import noting_failures
 
     @wraps(run)
     def task(cfg: Any) -> Any:
         try:
-            return run(cfg)
+            with noting_failures():
+                return run(cfg)
         except BrokenPipeError:
             raise
         except Exception as error:

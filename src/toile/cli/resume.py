@@ -14,7 +14,7 @@ from toile.reports.run_folder import RunFolder, read_config
 
 _KEY = "resume"
 # Parts of a configuration that may differ between the two halves of a run: they leave the result alone.
-_FREE = ("trainer", "logger", "callbacks", "paths", "report", "max_minutes")
+_FREE = ("trainer", "logger", "callbacks", "paths", "report", "max_minutes", "objective")
 
 
 def resume_arguments(arguments: Sequence[str], what: str) -> list[str]:
@@ -51,6 +51,23 @@ def checkpoint_path(folder: RunFolder) -> Path:
     return folder.path / "checkpoints" / CycleCheckpoint.NAME
 
 
+def is_finished(folder: RunFolder, config: str) -> bool:
+    """Whether the folder holds everything that a fit with these settings leaves.
+
+    Args:
+        folder: of the run; it may be empty.
+        config: resolved configuration of this run, YAML text.
+
+    Raises:
+        InputError: the folder holds a run with another configuration.
+    """
+    # The page is the last thing a fit writes.
+    if not (folder.config.is_file() and folder.metrics.is_file() and folder.page.is_file()):
+        return False
+    _check_settings(folder, config)
+    return True
+
+
 def last_checkpoint(folder: RunFolder, config: str) -> Path | None:
     """Checkpoint to continue from, or None for a new run.
 
@@ -64,16 +81,20 @@ def last_checkpoint(folder: RunFolder, config: str) -> Path | None:
     path = checkpoint_path(folder)
     if not path.is_file():
         return None
+    _check_settings(folder, config)
+    return path
+
+
+def _check_settings(folder: RunFolder, config: str) -> None:
     before, now = (_binding(yaml.safe_load(text)) for text in (read_config(folder), config))
     changed = sorted(key for key in before.keys() | now.keys() if before.get(key) != now.get(key))
     if changed:
         raise InputError(
             "The folder holds a run with other settings",
             where=str(folder.path),
-            expected="the settings it was started with, or another hydra.run.dir",
+            expected="the settings it was started with, or another folder",
             got="; ".join(f"{key}: {now.get(key)} instead of {before.get(key)}" for key in changed),
         )
-    return path
 
 
 def _binding(config: Any, prefix: str = "") -> dict[str, Any]:

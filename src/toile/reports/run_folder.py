@@ -13,6 +13,7 @@
       overlay.mp4       observed | rendered | difference | wireframe (overlay.gif where there is no encoder)
       figures/          PNG figures
       index.html        the result page
+      failure.txt       why the run failed, where it did
 
 Every file is written under a temporary name and then renamed, so a file that exists is complete.
 """
@@ -94,6 +95,11 @@ class RunFolder:
     def page(self) -> Path:
         """Result page (HTML)."""
         return self.path / "index.html"
+
+    @property
+    def failure(self) -> Path:
+        """Why the run failed (text); absent where it did not."""
+        return self.path / "failure.txt"
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,8 @@ def term(mask_weight: float = 50.0, **changes: float) -> TexturePointTerm:
     settings = PointTermSettings(12, 1.5, None, 100.0, mask_weight, **changes)
     frames, masks = pictures(2)
     points = grid_points(GRID, settings.per_side, 1.0, 0)
-    return TexturePointTerm(contrast_features(frames, masks, 1.5, None), CAMERA, points, sheet(), settings)
+    features = contrast_features(frames, masks, 1.5, None)
+    return TexturePointTerm(features, features[0], CAMERA, points, sheet(), settings)
 
 
 def test_no_cost_where_nothing_moved() -> None:

@@ -43,20 +43,21 @@ class SlidingWindows(Windows):
     """Windows of at most ``lag`` frames whose end advances by ``stride`` frames.
 
     Args:
-        lag: frames whose forces are found together.
-        stride: frames by which the window advances.
+        lag: frames whose forces are found together; None: all from frame 0 on.
+        stride: frames by which the window advances; None: the whole clip at once.
         repeats: how often the clip is gone through.
     """
 
-    def __init__(self, lag: int, stride: int, repeats: int) -> None:
+    def __init__(self, lag: int | None, stride: int | None, repeats: int) -> None:
         self.lag = lag
         self.stride = stride
         self.repeats = repeats
 
     def plan(self, n_frames: int) -> list[tuple[int, int]]:
         """See Windows."""
-        ends = [*range(self.stride, n_frames - 1, self.stride), n_frames - 1]
-        return [(max(0, end - self.lag), end) for end in ends] * self.repeats
+        before = [] if self.stride is None else range(self.stride, n_frames - 1, self.stride)
+        ends = [*before, n_frames - 1]
+        return [(0 if self.lag is None else max(0, end - self.lag), end) for end in ends] * self.repeats
 
 
 class GrowingWindows(Windows):

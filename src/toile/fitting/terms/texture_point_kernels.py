@@ -36,7 +36,7 @@ def sample_features(
     pixels: wp.array(dtype=wp.vec2),
     out: wp.array(dtype=wp.vec4),
 ):
-    """Features of the first frame at given pixels."""
+    """Features of the first picture at given pixels."""
     p = wp.tid()
     out[p] = bilinear(features, 0, pixels[p][0], pixels[p][1])
 

@@ -10,6 +10,7 @@ matrix and a vector, applied without ever forming a Jacobian.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,8 @@ import warp as wp
 from numpy.typing import NDArray
 from torch import Tensor
 
+from toile.fitting.reconstruction import Reconstruction
+from toile.fitting.terms.reference_image import first_frame
 from toile.fitting.terms.texture_point_kernels import apply_matrices, point_term, sample_features
 from toile.geometry.camera import Camera
 from toile.warp_runtime import start_warp, view
@@ -100,6 +103,7 @@ class PointTermSettings:
         colour_weight: weight of the colour residuals, whatever the number of points.
         mask_weight: weight of the mask residuals; 0 removes the silhouette.
         colour_scale: residual at which colours start to count as outliers.
+        reference: the picture (h, w, 3) of frame 0 that the points take their colours from.
     """
 
     per_side: int
@@ -108,6 +112,7 @@ class PointTermSettings:
     colour_weight: float
     mask_weight: float
     colour_scale: float = 0.1
+    reference: Callable[[Reconstruction], Tensor] = first_frame
 
 
 @dataclass(frozen=True)
@@ -137,6 +142,7 @@ class TexturePointTerm:
 
     Args:
         features: (F, h, w, 4) from contrast_features.
+        reference: (h, w, 4), those of the picture that gives the points their colours.
         camera: of the frames.
         points: where on the template.
         template: (N, 3) vertex positions in frame 0 [m]; the reference is sampled at their projection.
@@ -146,6 +152,7 @@ class TexturePointTerm:
     def __init__(
         self,
         features: Tensor,
+        reference: Tensor,
         camera: Camera,
         points: TexturePoints,
         template: Array,
@@ -162,7 +169,8 @@ class TexturePointTerm:
         self._intrinsics = wp.vec4d(camera.fx, camera.fy, camera.cx, camera.cy)
         pixels = camera.project(torch.from_numpy(points.positions(template))).to(torch.float32).numpy()
         self._reference = view(np.zeros((self.n_points, 4), np.float32), wp.vec4)
-        inputs = [self._features, view(np.ascontiguousarray(pixels), wp.vec2), self._reference]
+        picture = view(reference[None].contiguous().numpy(), wp.vec4)
+        inputs = [picture, view(np.ascontiguousarray(pixels), wp.vec2), self._reference]
         wp.launch(sample_features, dim=self.n_points, inputs=inputs, device="cpu")
 
     def evaluate(
