@@ -77,8 +77,8 @@ stability: setup ## Fits 40 times longer than usual (SCENE=R1: half a day)
 	$(BIN)/python benchmarks/stability.py $(if $(SCENE),--scene $(SCENE))
 
 .PHONY: dashboard
-dashboard: setup ## Show the runs in outputs/ in TensorBoard
-	$(BIN)/tensorboard --logdir outputs
+dashboard: setup ## Show the runs in outputs/ in TensorBoard (RUNS=folder: those below it)
+	$(BIN)/tensorboard --logdir $(or $(RUNS),outputs)
 
 .PHONY: constraints
 constraints: setup ## Pin what is installed in .venv

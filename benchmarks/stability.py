@@ -74,7 +74,7 @@ CASES = {
         None,
         None,
     ),
-    "paper": Case("the paper's recipe, exact solver", ("experiment=stability",), 250, 25),
+    "paper": Case("the paper's recipe, exact solver", ("experiment=stability",), 250, 50),
 }
 # Columns of a history that say whether a fit has run away.
 WATCHED = {
