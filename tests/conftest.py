@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import toile.cli  # noqa: F401  # isort: skip  # first, because it sets the number of threads
 
+import json
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 from PIL import Image, ImageDraw
+from scipy.spatial import Delaunay
 
 from toile.generation.generator import GeneratorSettings, generate
 from toile.generation.textures import procedural_texture
@@ -74,6 +77,69 @@ def tiny_scene() -> Scene:
 @pytest.fixture
 def tiny_folder(tiny_scene: Scene, tmp_path: Path) -> Path:
     return write_native(tiny_scene, tmp_path / "tiny")
+
+
+@dataclass(frozen=True)
+class CurvedSheet:
+    """A rectangle of 0.5 m × 0.4 m bent around an upright cylinder: developable, so its grid is unique."""
+
+    camera: Camera
+    cloth_size: tuple[float, float] = (0.5, 0.4)
+
+    def at(self, s: np.ndarray, t: np.ndarray) -> np.ndarray:
+        """Positions (n, 3) [m] at fractions (n,) of the upper side and of the sides, from the upper left."""
+        angle = (s - 0.5) * self.cloth_size[0] / 0.35
+        x, depth = 0.35 * np.sin(angle), 0.35 * (1 - np.cos(angle))
+        y = (t - 0.5) * self.cloth_size[1]
+        return np.column_stack((0.04 + x, 0.98 * y - 0.199 * depth - 0.02, 1.1 + 0.98 * depth + 0.199 * y))
+
+    def grid(self, height: int, width: int) -> np.ndarray:
+        """The grid (H, W, 3) [m] with equal edges."""
+        s, t = np.meshgrid(np.linspace(0, 1, height), np.linspace(0, 1, width), indexing="ij")
+        return self.at(s.ravel(), t.ravel()).reshape(height, width, 3)
+
+    def write_video(self, folder: Path, n_frames: int = 2) -> Path:
+        """Frames of noise, masks and video.json."""
+        size = (self.camera.width, self.camera.height)
+        # Drawn four times as large, because a drawn polygon takes half a pixel more on every side.
+        pixels = 4 * self.camera.project(torch.from_numpy(self.grid(40, 40))) - 0.5
+        image = Image.new("L", (4 * size[0], 4 * size[1]))
+        for i, j in np.ndindex(39, 39):
+            cell = pixels[[i, i + 1, i + 1, i], [j, j, j + 1, j + 1]]
+            ImageDraw.Draw(image).polygon([tuple(p.tolist()) for p in cell], fill=255)
+        mask = image.resize(size, Image.Resampling.BOX).point(lambda level: 255 * (level > 127))
+        noise = np.random.default_rng(0)
+        for name in ("rgbs", "masks"):
+            (folder / name).mkdir(parents=True)
+        for k in range(n_frames):
+            frame = noise.integers(0, 256, (*size[::-1], 3), dtype=np.uint8)
+            Image.fromarray(frame).save(folder / "rgbs" / f"rgb_{k:03d}.png")
+            mask.save(folder / "masks" / f"mask_{k:03d}.png")
+        video = {"fps": 30.0, "width": size[0], "height": size[1]}
+        (folder / "video.json").write_text(json.dumps(video))
+        return folder
+
+    def irregular_mesh(self, n: int = 1200) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices (V, 3) and triangles of random points, nothing of a grid."""
+        s = np.linspace(0, 1, 41)[:-1]
+        zero, one = np.zeros_like(s), np.ones_like(s)
+        border = [(s, zero), (one, s), (1 - s, one), (zero, 1 - s)]
+        inner = np.random.default_rng(1).uniform(0.01, 0.99, (n, 2))
+        q = np.concatenate([np.column_stack(side) for side in border] + [inner])
+        return self.at(*q.T), Delaunay(q).simplices
+
+    def noisy_points(self, n: int = 8000, noise: float = 0.001) -> np.ndarray:
+        """Points (N, 3) with Gaussian noise [m], a wall behind and a few strays."""
+        random = np.random.default_rng(2)
+        cloth = self.at(*random.uniform(size=(2, n))) + noise * random.standard_normal((n, 3))
+        wall = np.column_stack((random.uniform(-1, 1, (n // 4, 2)), np.full(n // 4, 2.0)))
+        strays = cloth[:20] - np.array([0, 0, 0.2])
+        return np.concatenate((cloth, wall, strays))
+
+
+@pytest.fixture
+def curved_sheet() -> CurvedSheet:
+    return CurvedSheet(Camera(fx=420.0, fy=410.0, cx=163.0, cy=117.5, height=240, width=320))
 
 
 @pytest.fixture(scope="session")

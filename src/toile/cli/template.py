@@ -35,7 +35,9 @@ def run(cfg: DictConfig) -> None:
     folder = location.folder
     # Said before the work, not after.
     require_no_template(folder, overwrite=cfg.overwrite)
-    still = read_still(folder, instantiate(cfg.camera), fps=cfg.fps)
+    still = read_still(
+        folder, instantiate(cfg.camera), fps=cfg.scene.fps, minimum_component=cfg.scene.minimum_component
+    )
     made = make_template(
         still,
         instantiate(cfg.surface),
@@ -45,8 +47,8 @@ def run(cfg: DictConfig) -> None:
             corners=None if cfg.corners is None else _corners(cfg.corners),
         ),
         name=folder.resolve().name,
-        held_vertices=cfg.held_vertices,
-        gravity=tuple(cfg.gravity),
+        held_vertices=cfg.scene.held_vertices,
+        gravity=tuple(cfg.scene.gravity),
         minimum_iou=cfg.minimum_iou,
     )
     write_template(made, folder, overwrite=cfg.overwrite)

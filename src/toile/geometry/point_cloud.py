@@ -64,7 +64,7 @@ def smooth_depth(pixels: Floats, depth: Floats, at: Floats, radius: float) -> tu
     near = (1 - (distance / reach) ** 3) ** 3
     weights = near
     # Where samples lie on one side only, the fit must stay solvable and not bend wildly.
-    ridge = np.diag([0.0, 1e-6, 1e-6, 1e-2, 1e-2, 1e-2])
+    ridge = np.diag([0.0, 1e-9, 1e-9, 1e-2, 1e-2, 1e-2])
     for _ in range(_ROUNDS):
         weighted = basis * weights[..., None]
         normal = np.einsum("mka,mkb->mab", weighted, basis) + ridge * weights.sum(1)[:, None, None]

@@ -58,6 +58,8 @@ def four_corners(outline: Floats, where: str) -> tuple[int, int, int, int]:
 def require_quadrilateral(outline: Floats, corners: Sequence[int], where: str) -> None:
     """Raise InputError unless four corners, in order, make an outline (n, 2) a plausible quadrilateral."""
     quad = outline[list(corners)]
+    if np.linalg.norm(quad - np.roll(quad, 1, 0), axis=1).min() == 0:
+        raise _no_four_corners(where, "two corners at the same place")
     fill = abs(signed_area(quad)) / abs(signed_area(outline))
     angles = _angles(quad)
     if fill < _LEAST_FILL or fill > 1 / _LEAST_FILL or angles.min() < _ANGLES[0] or angles.max() > _ANGLES[1]:

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from toile.geometry.io import read_mesh
 from toile.geometry.mesh import grid_faces
 from toile.geometry.quadrilateral import exact_side
@@ -46,7 +44,7 @@ class MeshSurface:
         require_seen(mesh.vertices, still, self.minimum_inside, where)
         gridding = grid_on_disc(mesh, border, at_vertices(mesh, border), still, layout, exact_side, where)
         vertices = gridding.positions.reshape(-1, 3)
-        _, to_template = nearest_points(mesh.vertices, vertices, np.array(grid_faces(*layout.grid)))
+        _, to_template = nearest_points(mesh.vertices, vertices, grid_faces(*layout.grid).numpy())
         _, to_surface = nearest_points(vertices, mesh.vertices, mesh.faces)
         mean, most = gridding.stretch
         return SurfaceGrid(

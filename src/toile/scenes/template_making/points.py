@@ -76,7 +76,7 @@ class PointsSurface:
         fit = partial(smooth_side, degree=self.side_degree)
         gridding = grid_on_disc(mesh, border, outline, still, layout, fit, where)
         vertices = gridding.positions.reshape(-1, 3)
-        _, to_template = nearest_points(points, vertices, np.array(grid_faces(*layout.grid)))
+        _, to_template = nearest_points(points, vertices, grid_faces(*layout.grid).numpy())
         _, to_surface = nearest_points(vertices, mesh.vertices, mesh.faces)
         mean, most = gridding.stretch
         return SurfaceGrid(

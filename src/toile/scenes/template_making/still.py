@@ -42,9 +42,7 @@ class Still:
     n_frames: int
 
 
-def read_still(
-    folder: Path, intrinsics: Intrinsics, *, fps: float | None, minimum_component: float = 0.1
-) -> Still:
+def read_still(folder: Path, intrinsics: Intrinsics, *, fps: float | None, minimum_component: float) -> Still:
     """Read frame 0, mask 0, frame rate and number of frames, and combine them with the intrinsics.
 
     Args:

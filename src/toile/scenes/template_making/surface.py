@@ -7,6 +7,7 @@ from typing import Protocol
 
 import numpy as np
 import torch
+from scipy import ndimage
 
 from toile.errors import InputError
 from toile.geometry.camera import Camera
@@ -72,30 +73,33 @@ def project(camera: Camera, points: Floats) -> Floats:
     return pixels
 
 
-def inside_mask(points: Floats, still: Still) -> np.ndarray:
-    """Which positions (N, 3) are in front of the camera and project into the mask."""
+def inside_mask(points: Floats, still: Still, margin: int = 0) -> np.ndarray:
+    """Which positions (N, 3) are in front of the camera and project into the mask, widened by some pixels."""
+    mask = still.mask.numpy() > 0.5
+    if margin:
+        mask = ndimage.binary_dilation(mask, iterations=margin)
     z = points[:, 2]
     front = points[z > 0]
     seen = np.zeros(len(points), dtype=bool)
     pixels = np.floor(project(still.camera, front))
-    h, w = still.mask.shape
+    h, w = mask.shape
     visible = ((pixels >= 0) & (pixels < (w, h))).all(1)
     column, row = pixels[visible].astype(int).T
     hit = np.zeros(len(front), dtype=bool)
-    hit[visible] = still.mask.numpy()[row, column] > 0.5
+    hit[visible] = mask[row, column]
     seen[z > 0] = hit
     return seen
 
 
 def require_seen(points: Floats, still: Still, least: float, where: str) -> None:
     """Raise InputError unless a fraction of the positions (N, 3) projects into the mask."""
-    fraction = float(inside_mask(points, still).mean())
+    fraction = _fraction_inside(points, still)
     if fraction >= least:
         return
-    flips = {name: float(inside_mask(points * np.array(f), still).mean()) for name, f in FLIPS.items()}
+    flips = {name: _fraction_inside(points * np.array(f), still) for name, f in FLIPS.items()}
     best = max(flips, key=lambda name: flips[name])
     got = f"{100 * fraction:.1f} % of {len(points)} points"
-    if flips[best] > max(2 * fraction, 0.5 * least):
+    if flips[best] >= max(least, 1.2 * fraction):
         got += f"; with {best} it would be {100 * flips[best]:.1f} %"
     elif float(np.median(points[:, 2])) <= 0:
         got += f"; most are behind the camera, median z {float(np.median(points[:, 2])):.4g} m"
@@ -108,6 +112,11 @@ def require_seen(points: Floats, still: Still, least: float, where: str) -> None
         "(x right, y down, z forward, metres)",
         got=got,
     )
+
+
+def _fraction_inside(points: Floats, still: Still) -> float:
+    # A vertex of the border projects onto the mask's border, one side or the other.
+    return float(inside_mask(points, still, margin=2).mean())
 
 
 def require_clockwise(corners: Floats, where: str) -> None:
