@@ -12,15 +12,55 @@ from omegaconf import OmegaConf
 
 from toile.cli.configuration import CONF, register_resolvers
 
-# The one setting that an ablation changes, and what to.
-ABLATIONS = {
+_FILE = "toile.scenes.texture_coordinates.from_file"
+_TRACK = "optimization.stages.track"
+# What an ablation means whatever the optimisation: the settings it changes, and what to; "*" stands for a
+# whole choice of another group.
+SHARED: dict[str, dict[str, Any]] = {
     "none": {},
-    "no_silhouette": {"loss.silhouette": None},
-    "no_force_regularization": {"loss.force_regularization": None},
-    "no_turbulence": {"optimization.learning_rates.turbulence": None},
-    "no_uv": {"optimization.learning_rates.texture_offset": None},
-    "no_successive": {"optimization.first_frames": None},
+    "surrogate": {"simulator.*": "simulator=surrogate"},
+    "hybrid": {"simulator.*": "simulator=hybrid"},
+    "backward_euler": {"simulator.*": "simulator/integrator=backward_euler"},
+    "one_step_per_frame": {"simulator.substeps": 1},
+    "uniform_rest_lengths": {"cloth.rest_lengths._target_": "toile.fitting.scene_cloth.uniform"},
+    "uv_from_file": {"scene.texture_coordinates._target_": _FILE},
+    "supersampled_renderer": {"renderer.supersampling": 2},
+    "reference_renderer": {"renderer._target_": "toile.rendering.ReferenceRenderer"},
 }
+# What the others mean for each optimisation.
+OF_OPTIMIZATION: dict[str, dict[str, dict[str, Any]]] = {
+    "adam": {
+        "no_silhouette": {"loss.silhouette": None},
+        "no_force_regularization": {"loss.force_regularization": None},
+        "no_turbulence": {"optimization.learning_rates.turbulence": None},
+        "no_uv": {"optimization.learning_rates.texture_offset": None},
+        "no_successive": {"optimization.first_frames": None},
+    },
+    "tracking": {
+        "no_silhouette": {f"{_TRACK}.term.mask_weight": 0},
+        "no_force_regularization": {
+            f"{_TRACK}.priors.turbulence": 1000,
+            f"{_TRACK}.priors.turbulence_time": 0,
+            f"{_TRACK}.priors.turbulence_space": 0,
+        },
+        "no_turbulence": {f"{_TRACK}.priors.turbulence": None},
+        "no_uv": {
+            "scene.texture_coordinates._target_": _FILE,
+            f"{_TRACK}.term.reference._target_": "toile.fitting.terms.reference_image.drawn_template",
+        },
+        "no_successive": {
+            f"{_TRACK}.windows.lag": None,
+            f"{_TRACK}.windows.stride": None,
+            f"{_TRACK}.windows.repeats": 6,
+        },
+        "no_calibration": {"optimization.stages.calibrate": None},
+    },
+}
+CELLS = [
+    (optimization, name, expected)
+    for optimization, own in OF_OPTIMIZATION.items()
+    for name, expected in (SHARED | own).items()
+]
 
 
 @pytest.fixture(autouse=True)
@@ -53,17 +93,37 @@ def changes(base: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:
 
 
 def test_every_ablation_is_listed() -> None:
-    assert {path.stem for path in (CONF / "ablation").glob("*.yaml")} == set(ABLATIONS)
+    dependent = set().union(*OF_OPTIMIZATION.values())
+    assert {path.stem for path in (CONF / "ablation").glob("*.yaml")} == dependent | set(SHARED)
+    for optimization, own in OF_OPTIMIZATION.items():
+        assert {p.stem for p in (CONF / "ablation_of" / optimization).glob("*.yaml")} == set(own)
 
 
-@pytest.mark.parametrize("base", [["optimization=adam"], ["experiment=paper"]])
-@pytest.mark.parametrize("name", ABLATIONS)
-def test_an_ablation_changes_one_setting(name: str, base: list[str]) -> None:
-    assert changes(settings(*base), settings(*base, f"ablation={name}")) == ABLATIONS[name]
+@pytest.mark.parametrize(("optimization", "name", "expected"), CELLS)
+def test_an_ablation_changes_one_factor(optimization: str, name: str, expected: dict[str, Any]) -> None:
+    base = settings(f"optimization={optimization}")
+    found = changes(base, settings(f"optimization={optimization}", f"ablation={name}"))
+    assert found.pop("ablation", "none") == name
+    for key, value in list(expected.items()):
+        if key.endswith(".*"):
+            other = changes(base, settings(f"optimization={optimization}", str(value)))
+            assert other
+            assert {k.split(".")[0] for k in other} == {key.split(".")[0]}
+            assert found == other
+            return
+    assert found == expected
 
 
-def test_ablations_alone_use_the_papers_optimisation() -> None:
-    assert settings("ablation=none") == settings("optimization=adam")
+@pytest.mark.parametrize("name", OF_OPTIMIZATION["adam"])
+def test_an_ablation_of_the_papers_experiment_is_one_of_its_optimisation(name: str) -> None:
+    found = changes(settings("experiment=paper"), settings("experiment=paper", f"ablation={name}"))
+    assert found == {"ablation": name} | OF_OPTIMIZATION["adam"][name]
+
+
+def test_an_ablation_that_an_optimisation_does_not_know_is_no_silent_repetition() -> None:
+    for optimization, name in (("adam", "no_calibration"), ("identification", "no_silhouette")):
+        cfg = compose("fit", overrides=[f"optimization={optimization}", f"ablation={name}"])
+        assert OmegaConf.is_missing(cfg, "ablation")
 
 
 def test_a_term_goes_by_one_override() -> None:

@@ -56,10 +56,10 @@ def print_summary() -> None:
     failures = {run.path: run.failure.read_text().strip() for run in runs if run.failure.is_file()}
     finished = sum(run.metrics.is_file() and run.path not in failures for run in runs)
     lines = [f"{finished} of {len(runs)} runs in {os.path.relpath(folder)} have a result"]
-    lines += [
-        f"failed: {os.path.relpath(path)}\n  {text.splitlines()[-1] if text.startswith('Traceback') else text}"
-        for path, text in failures.items()
-    ]
+    for path, text in failures.items():
+        # Of a traceback, its last line; the rest is in the file.
+        reason = text.splitlines()[-1] if text.startswith("Traceback") else text
+        lines.append(f"failed: {os.path.relpath(path)}\n  {reason}")
     if finished < len(runs):
         lines.append("The same command runs what is missing.")
     print("\n".join(lines), file=sys.stderr)
