@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import tempfile
 import time
 import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from chromium import show
 from tensorboard import program
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -72,21 +72,12 @@ def tensorboard(folder: Path, n_runs: int) -> Iterator[str]:
     yield address
 
 
-def take_picture(address: str, file: Path, size: tuple[int, int]) -> None:
-    """A page as Chromium draws it after ten seconds of its own time."""
-    with tempfile.TemporaryDirectory() as profile:
-        command = ["chromium", "--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars"]
-        command += ["--disable-background-networking", f"--user-data-dir={profile}"]
-        command += ["--virtual-time-budget=20000", f"--window-size={size[0]},{size[1]}"]
-        subprocess.run([*command, f"--screenshot={file}", address], check=True, capture_output=True)
-
-
 def main() -> None:
     """See the module's text."""
     make_sweep()
     with tensorboard(SWEEP / "fits", n_runs=4) as address:
         for page, (name, size) in PICTURES.items():
-            take_picture(f"{address}/#{page}", IMAGES / name, size)
+            show(f"{address}/#{page}", IMAGES / name, width=size[0], height=size[1])
             print(IMAGES / name)
 
 

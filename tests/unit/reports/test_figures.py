@@ -46,6 +46,20 @@ def test_histories_are_drawn_over_the_cycles(history: pd.DataFrame) -> None:
     assert [line.get_label() for line in axis.lines] == ["loss", "loss/image"]
 
 
+def test_stability_marks_the_usual_length() -> None:
+    lengths, distances = np.array([0.5, 1.0, 40.0]), np.array([3.0, 2.0, 2.5])
+    (axis,) = figures.stability_curves({"a recipe": (lengths, distances)}, "a scene").axes
+    curve, mark = axis.lines
+    assert np.array_equal(curve.get_xdata(), lengths)
+    assert np.array_equal(curve.get_ydata(), distances)
+    assert list(mark.get_xdata()) == [1, 1]
+    assert (axis.get_xscale(), axis.get_yscale()) == ("log", "log")
+    labels = dict(zip(axis.get_xticks(), [t.get_text() for t in axis.get_xticklabels()], strict=True))
+    assert (labels[1], labels[40]) == ("usual length", "40×")
+    with pytest.raises(InputError, match="at least one curve"):
+        figures.stability_curves({}, "a scene")
+
+
 def test_side_view_plots_depth_against_height() -> None:
     positions = np.zeros((2, 3, 3, 3))
     positions[..., 1], positions[..., 2] = 0.25, 1.5
