@@ -80,6 +80,10 @@ stability: setup ## Fits 40 times longer than usual (SCENE=R1: half a day)
 dashboard: setup ## Show the runs in outputs/ in TensorBoard (RUNS=folder: those below it)
 	$(BIN)/tensorboard --logdir $(or $(RUNS),outputs)
 
+.PHONY: screenshots
+screenshots: setup ## Make the documentation's pictures of pages (needs a Chromium)
+	$(BIN)/python docs/images/make_screenshots.py
+
 .PHONY: constraints
 constraints: setup ## Pin what is installed in .venv
 	@{ grep '^#' constraints.txt; $(BIN)/python -m pip freeze --exclude-editable | sed -E 's/\+[a-z0-9.]+$$//'; } > .constraints.new

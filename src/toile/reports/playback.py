@@ -113,7 +113,7 @@ def _scene(points: npt.NDArray[np.floating]) -> dict[str, Any]:
     # Proportional, with the longest side 1, so that the cloth fills the view whatever its depth.
     extent = (high - low) + 2 * margin
     ratio = {axis: float(extent[k] / extent.max()) for k, axis in enumerate("xyz")}
-    eye = {"x": 0.65, "y": -1.36, "z": 0.3}
+    eye = {"x": 0.69, "y": -1.44, "z": 0.32}
     return {
         **axes,
         "aspectmode": "manual",

@@ -33,9 +33,9 @@ from toile.reports.run_folder import (
 )
 from toile.scenes.scene import Scene
 
-MAX_PICTURE_SIZE = 560
-"""Longer side of the video's pictures in the page [px]."""
-VIDEO_BYTES_FRAMES = 120
+OBSERVED_SIZE, OTHER_SIZE = 520, 430
+"""Longer side of the video's pictures in the page [px]; what is rendered has less detail to lose."""
+MAX_FRAMES_OF_ALL_VIEWS = 120
 """Frames up to which every view of the video is kept; a longer video is shown as observed only."""
 
 
@@ -165,10 +165,10 @@ class Drawn:
                 self.residual[f] = colour_residual(
                     frame, mask, image, x, seen[0].reshape(scene.grid), scene.camera
                 )
-            views["observed"].append(_small(frame))
-            if n <= VIDEO_BYTES_FRAMES:
-                views["rendered"].append(_small(image))
-                views["difference"].append(_small(difference(frame, mask, image)))
+            views["observed"].append(_small(frame, OBSERVED_SIZE))
+            if n <= MAX_FRAMES_OF_ALL_VIEWS:
+                views["rendered"].append(_small(image, OTHER_SIZE))
+                views["difference"].append(_small(difference(frame, mask, image), OTHER_SIZE))
             if f in chosen:
                 pixels = overlay_picture(frame, mask, image, x, scene.camera, caption=f"frame {f}")
                 caption = f"Frame {f}: observed, rendered, difference, mesh"
@@ -191,12 +191,12 @@ def _vertices_on_faces(faces: Tensor, n_vertices: int) -> tuple[Tensor, Tensor]:
     return face, weights
 
 
-def _small(image: Tensor | npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
-    """An image (h, w, 3) as uint8, not larger than the page shows it."""
+def _small(image: Tensor | npt.NDArray[np.uint8], size: int) -> npt.NDArray[np.uint8]:
+    """An image (h, w, 3) as uint8, its longer side at most that many pixels."""
     if isinstance(image, Tensor):
         image = (image.detach().cpu().float().clamp(0, 1) * 255).round().byte().numpy()
     picture = Image.fromarray(image)
-    picture.thumbnail((MAX_PICTURE_SIZE, MAX_PICTURE_SIZE), Image.Resampling.LANCZOS)
+    picture.thumbnail((size, size), Image.Resampling.LANCZOS)
     return np.asarray(picture)
 
 

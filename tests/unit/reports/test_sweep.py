@@ -62,7 +62,7 @@ def test_page_opens_with_the_best_setting_and_its_spread(sweep_folder: Path) -> 
     header = text[: text.index("</header>")]
     assert "4 runs of R1 in 2 settings" in header
     lead = re.sub(r"<[^>]*>", "", header).replace("\u202f", " ")
-    assert "squared Chamfer distance: 0.550 ± 0.0707 ×10⁻⁴ m² over 2 runs with turbulence = 10" in lead
+    assert "squared Chamfer distance: 0.550 ± 0.071 ×10⁻⁴ m² over 2 runs with turbulence = 10" in lead
     assert "2.10 ×10⁻⁴ m² with turbulence = 1" in lead
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,8 +17,10 @@ from toile.reports.palette import FONT, INK, MUTED, RULE, SERIES
 
 CURSOR = {"type": "line", "line": {"color": INK, "width": 1}, "x0": 0, "x1": 0, "y0": 0, "y1": 1}
 """A line that viewer.js keeps at the current frame."""
+SMALL: dict[str, Any] = {"font": {"size": 11}, "standoff": 4}
+"""Titles of axes."""
 PANEL_HEIGHT = 215
-MAP_HEIGHT = 330
+MAP_HEIGHT = 370
 ROW_HEIGHT = 30
 
 
@@ -76,7 +79,7 @@ def small_multiples(
         if cursors:
             number = "" if k == 0 else str(k + 1)
             figure.add_shape(**CURSOR, xref=f"x{number}", yref=f"y{number} domain")
-    figure.update_xaxes(title={"text": x_title, "font": {"size": 11}, "standoff": 4})
+    figure.update_xaxes(title={"text": x_title, **SMALL})
     return plain(figure, height)
 
 
@@ -88,8 +91,8 @@ def losses(columns: Mapping[str, npt.NDArray[np.float64]], cycles: npt.NDArray[n
         # A term that is switched off is zero, which a logarithmic axis cannot show.
         shown = np.where(values > 0, values, np.nan)
         figure.add_scatter(x=cycles, y=shown, name=name, line=line, mode="lines", showlegend=True)
-    figure.update_yaxes(type="log", title="loss", exponentformat="power", dtick=1)
-    figure.update_xaxes(title="cycle")
+    figure.update_yaxes(type="log", title={"text": "loss", **SMALL}, exponentformat="power", dtick=1)
+    figure.update_xaxes(title={"text": "cycle", **SMALL})
     figure.update_layout(legend={"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0})
     return plain(figure, 300)
 
@@ -131,16 +134,19 @@ def field_maps(field: ClothField, upright: Upright, held: npt.NDArray[np.bool_])
             marker={"symbol": "circle-open", "size": 8, "color": INK, "line": {"width": 1.5}},
             hovertemplate="held<extra></extra>",
             showlegend=False,
+            cliponaxis=False,
             row=1,
             col=k,
         )
         bare = {"constrain": "domain", "showticklabels": False, "ticks": "", "showgrid": False}
         axis = "" if k == 1 else str(k)
-        figure.update_xaxes(scaleanchor=f"y{axis}", constraintoward="left", **bare, row=1, col=k)
-        figure.update_yaxes(autorange="reversed", constraintoward="top", **bare, row=1, col=k)
-    small = {"font": {"size": 11}, "standoff": 4}
-    figure.update_xaxes(title={"text": "frame", **small}, row=1, col=3)
-    figure.update_yaxes(autorange="reversed", title={"text": "row, from the top", **small}, row=1, col=3)
+        width, height = mean.shape[1] - 0.5, mean.shape[0] - 0.5
+        figure.update_xaxes(
+            range=[-0.5, width], scaleanchor=f"y{axis}", constraintoward="left", **bare, row=1, col=k
+        )
+        figure.update_yaxes(range=[height, -0.5], constraintoward="top", **bare, row=1, col=k)
+    figure.update_xaxes(title={"text": "frame", **SMALL}, row=1, col=3)
+    figure.update_yaxes(autorange="reversed", title={"text": "row, from the top", **SMALL}, row=1, col=3)
     figure.add_shape(**CURSOR, xref="x3", yref="y3 domain")
     figure.update_layout(
         coloraxis={
@@ -183,9 +189,10 @@ def dots(groups: Sequence[str], names: Sequence[Sequence[str]], panels: Sequence
         len(panels),
         shared_yaxes=True,
         horizontal_spacing=0.04,
-        subplot_titles=[_titled(p.title, p.unit) for p in panels],
+        subplot_titles=[escape(p.title) for p in panels],
     )
     for column, panel in enumerate(panels, start=1):
+        figure.update_xaxes(title={"text": escape(panel.unit), **SMALL}, row=1, col=column)
         for row, values in enumerate(panel.values):
             colour = SERIES[row % len(SERIES)]
             hover = f"%{{text}}: %{{x:.4g}} {escape(panel.unit)}<extra></extra>"
@@ -216,7 +223,7 @@ def dots(groups: Sequence[str], names: Sequence[Sequence[str]], panels: Sequence
     labels = [escape(label) for label in groups]
     figure.update_yaxes(range=[len(groups) - 0.4, -0.6], tickmode="array", tickvals=list(range(len(groups))))
     figure.update_yaxes(ticktext=labels, tickfont={"size": 12, "color": INK}, automargin=True, col=1)
-    figure.update_xaxes(nticks=5, rangemode="normal")
+    figure.update_xaxes(nticks=5, rangemode="normal", exponentformat="power")
     return plain(figure, ROW_HEIGHT * len(groups) + 90)
 
 
@@ -252,8 +259,8 @@ def overlaid(curves: Sequence[Curve], groups: Sequence[str], x_title: str, y_tit
             hovertemplate=f"{escape(curve.name)}, {x_title} %{{x}}: %{{y:.4g}}<extra></extra>",
         )
         named.add(curve.group)
-    figure.update_xaxes(title=x_title)
-    figure.update_yaxes(title=y_title, rangemode="tozero")
+    figure.update_xaxes(title={"text": x_title, **SMALL})
+    figure.update_yaxes(title={"text": y_title, **SMALL}, rangemode="tozero")
     figure.update_layout(legend={"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0})
     return plain(figure, 340)
 

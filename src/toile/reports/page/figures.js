@@ -5,10 +5,6 @@ const toile = {
 
   floats: (base64) => new Float32Array(Uint8Array.from(atob(base64), (c) => c.charCodeAt(0)).buffer),
 
-  // A flat array as rows, the way plotly wants a matrix.
-  matrix: (flat, offset, rows, columns) =>
-    Array.from({ length: rows }, (_, i) => flat.subarray(offset + i * columns, offset + (i + 1) * columns)),
-
   drawFigures: () =>
     Promise.all(
       [...document.querySelectorAll("[data-figure]")].map((place) => {

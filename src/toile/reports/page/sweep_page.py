@@ -17,6 +17,7 @@ from toile.atomic_file import write_text
 from toile.evaluation.evaluate import Metric
 from toile.reports.page.charts import Curve, DotPanel, dots, overlaid
 from toile.reports.page.document import (
+    NARROW_NO_BREAK_SPACE,
     document,
     figure,
     in_sentence,
@@ -65,7 +66,13 @@ class Spread:
         """As HTML, e.g. "0.498 ± 0.013 m"."""
         if self.n < 2:
             return with_unit(self.mean, unit)
-        return f"{number(self.mean)} ± {with_unit(self.deviation, unit)}"
+        # No more decimals than the mean has.
+        shown = number(self.mean)
+        decimals = len(shown.partition(".")[2])
+        deviation = f"{self.deviation:.{decimals}f}" if shown.replace(".", "").isdigit() else None
+        if deviation is None or float(deviation) == 0:
+            return f"{shown} ± {with_unit(self.deviation, unit)}"
+        return f"{shown} ± {deviation}{NARROW_NO_BREAK_SPACE + escape(unit) if unit else ''}"
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,6 @@ toile.startViewer = () => {
   const at = (id) => document.getElementById(id);
   const [slider, play, speed, clock, space] = ["frame", "play", "speed", "clock", "playback"].map(at);
   const positions = toile.floats(data.positions);
-  const shade = data.shade ? toile.floats(data.shade) : null;
   const cloud = data.cloud && { points: toile.floats(data.cloud.points), starts: data.cloud.starts };
   const fields = Object.fromEntries(Object.entries(data.fields).map(([key, text]) => [key, toile.floats(text)]));
   const gridLines = {
@@ -20,6 +19,18 @@ toile.startViewer = () => {
     const k = 3 * ((f * H + i) * W + j);
     return [positions[k], positions[k + 1], positions[k + 2]];
   };
+  // The values of a field in one frame, row by row of the cloth.
+  const grid = (values, f) =>
+    Array.from({ length: H }, (_, i) => Array.from(values.subarray((f * H + i) * W, (f * H + i + 1) * W)));
+
+  // The same turned as the cloth lies in the image.
+  function asSeen(rows) {
+    const { transposed, flipped } = data.upright;
+    let turned = transposed ? rows[0].map((_, j) => rows.map((row) => row[j])) : rows;
+    if (flipped[0]) turned = [...turned].reverse();
+    return flipped[1] ? turned.map((row) => [...row].reverse()) : turned;
+  }
+
   // Camera frame (x right, y down, z away) to the axes of the 3D view: right, away, up.
   const shown = ([x, y, z]) => [x, z, -y];
 
@@ -54,7 +65,11 @@ toile.startViewer = () => {
     const traces = [surface(f), wires(f)];
     if (cloud) traces.push(truePoints(f));
     const change = Object.fromEntries(["x", "y", "z"].map((axis, k) => [axis, traces.map((t) => t[k])]));
-    if (shade) change.surfacecolor = [toile.matrix(shade, f * H * W, H, W)];
+    if (data.shade) {
+      // A hidden vertex may have no value; a hole in the cloth would say something else.
+      const known = (v) => (isNaN(v) ? 0 : v);
+      change.surfacecolor = [grid(fields[data.shade], f).map((row) => row.map(known))];
+    }
     return Plotly.restyle(space, change, traces.map((_, k) => k));
   }
 
@@ -85,8 +100,7 @@ toile.startViewer = () => {
     for (let k = 0; k < Number(place.dataset.cursors); k++)
       layout[`shapes[${k}].x0`] = layout[`shapes[${k}].x1`] = current;
     if (!place.dataset.field) return Plotly.relayout(place, layout);
-    const [rows, columns] = data.map_shape;
-    const z = toile.matrix(fields[place.dataset.field], current * rows * columns, rows, columns);
+    const z = asSeen(grid(fields[place.dataset.field], current));
     layout["annotations[1].text"] = `frame ${current}`;
     return Plotly.update(place, { z: [z] }, layout, [1]);
   }

@@ -14,7 +14,7 @@ from toile.reports.cloth_fields import ClothField, Upright
 from toile.reports.page.document import data, figure, floats, picture_address
 from toile.reports.playback import TOWARDS_CAMERA, WIRE_EVERY, playback
 
-MAX_POINTS = 1000
+MAX_POINTS = 800
 """Ground-truth points drawn per frame."""
 SPEEDS = {"1": "real time", "0.5": "½ speed", "0.25": "¼ speed", "0.1": "⅒ speed"}
 COMFORTABLE_SECONDS = 4.0
@@ -71,16 +71,15 @@ def viewer(
         "wire_every": WIRE_EVERY,
         "towards_camera": TOWARDS_CAMERA,
         "positions": floats(positions),
-        # Hidden vertices have no residual; a hole in the cloth would say something else.
-        "shade": None if shade is None else floats(np.nan_to_num(shade.values)),
+        "shade": None if shade is None else shade.key,
         "cloud": None
         if clouds is None
         else {
             "points": floats(np.concatenate(clouds)),
             "starts": np.cumsum([0, *map(len, clouds)]).tolist(),
         },
-        "map_shape": [W, H] if upright.transposed else [H, W],
-        "fields": {field.key: floats(upright(field.values)) for field in fields},
+        "upright": {"transposed": upright.transposed, "flipped": upright.flipped},
+        "fields": {f.key: floats(f.values) for f in ([*fields, shade] if shade else fields)},
         "video": None if video is None else _video_data(video),
     }
     panes = "".join((_video_pane(video), _space_pane(positions, shade, clouds)))

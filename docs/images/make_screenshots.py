@@ -1,0 +1,94 @@
+"""The pictures of pages in the documentation, from demo runs: ``make screenshots``.
+
+One function per picture, in ``PICTURES``; ``python docs/images/make_screenshots.py report`` makes one.
+Needs a Chromium. Runs that are already there are used again.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import chromium
+from PIL import Image
+
+ROOT = Path(__file__).resolve().parents[2]
+HERE = Path(__file__).resolve().parent
+RUNS = ROOT / "outputs" / "screenshots"
+MAX_BYTES = 400_000
+SEEDS = "0,1"
+CHANGES = "optimization.stages.track.priors.turbulence=10,1"
+"""What the runs of the sweep differ in."""
+
+
+def toile(*arguments: str) -> None:
+    """Run a command of toile in the repository."""
+    subprocess.run([sys.executable, "-m", "toile.cli.main", *arguments], cwd=ROOT, check=True)
+
+
+def demo_scene() -> str:
+    """Data folder with the scene "demo"."""
+    folder = RUNS / "data"
+    if not (folder / "generated" / "demo" / "scene.json").is_file():
+        toile("generate", "preset=demo", f"paths.data={folder}")
+    return f"paths.data={folder}"
+
+
+def demo_run() -> Path:
+    """A fit of the demo."""
+    folder, data = RUNS / "demo", demo_scene()
+    if not (folder / "index.html").is_file():
+        toile("fit", "experiment=demo", data, f"hydra.run.dir={folder}")
+    toile("report", str(folder), data)
+    return folder
+
+
+def demo_sweep() -> Path:
+    """Fits of the demo with several seeds and settings."""
+    folder, data = RUNS / "sweep of the demo", demo_scene()
+    if len(list(folder.glob("*/index.html"))) < 4:
+        sweep = f"hydra.sweep.dir='{folder}'"
+        toile("fit", "-m", "experiment=demo", data, f"seed={SEEDS}", CHANGES, sweep)
+    toile("report", str(folder))
+    return folder
+
+
+def report(picture: Path) -> None:
+    """The page of a run, opened where the cloth has moved."""
+    chromium.show((demo_run() / "index.html").as_uri() + "#frame=14", picture, width=1400, height=1400)
+
+
+def sweep(picture: Path) -> None:
+    """The page of several runs."""
+    chromium.show((demo_sweep() / "report.html").as_uri(), picture, width=1400, height=1300)
+
+
+PICTURES: dict[str, Callable[[Path], None]] = {"report": report, "sweep": sweep}
+"""Functions that write a PNG, by the name of the picture."""
+
+
+def compressed(picture: Path, target: Path) -> None:
+    """Write a picture with a palette, as small as it has to be."""
+    image = Image.open(picture).convert("RGB")
+    for colours in (256, 128, 64, 32):
+        image.quantize(colours, dither=Image.Dither.NONE).save(target, optimize=True)
+        if target.stat().st_size < MAX_BYTES:
+            return
+    raise SystemExit(f"{target} has {target.stat().st_size} bytes, more than {MAX_BYTES}")
+
+
+def main(names: list[str]) -> None:
+    """Make the pictures with these names, or all."""
+    for name in names or PICTURES:
+        with tempfile.TemporaryDirectory() as folder:
+            taken = Path(folder) / f"{name}.png"
+            PICTURES[name](taken)
+            compressed(taken, HERE / f"{name}.png")
+        print(HERE / f"{name}.png")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
