@@ -21,6 +21,14 @@ TRUE_MESH_NOTE = (
 """What a protocol says where the points were drawn."""
 
 
+def known_frames(truth: GroundTruth | None) -> int:
+    """Number of frames, from the first on, of which there are target points."""
+    if truth is None:
+        return 0
+    known = truth.vertices if truth.point_clouds is None else truth.point_clouds
+    return 0 if known is None else len(known)
+
+
 def target_points(
     truth: GroundTruth | None, frames: Iterable[int], seed: int
 ) -> tuple[tuple[Tensor, ...] | None, str]:

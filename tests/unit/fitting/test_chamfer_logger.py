@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -112,6 +113,30 @@ def test_without_ground_truth_there_is_no_table(problem: MakeProblem, adam: Make
     fit(FitModule(unknown, adam(cycles=2), 0), callback)
     assert not callback.has_targets
     assert not (tmp_path / "c.csv").exists()
+
+
+def test_frames_without_ground_truth_are_left_out(
+    problem: MakeProblem, adam: MakeAdam, tmp_path: Path
+) -> None:
+    partly = problem()
+    truth = partly.scene.ground_truth
+    assert truth is not None
+    assert truth.vertices is not None
+    short = dataclasses.replace(truth, vertices=truth.vertices[:2], point_clouds=None)
+    partly.scene = dataclasses.replace(partly.scene, ground_truth=short)
+    fit(FitModule(partly, adam(cycles=2), 0), ChamferLogger(tmp_path / "c.csv", 2, None, seed=0))
+    assert [row[COMPARED] for row in table(tmp_path / "c.csv")] == [2]
+
+
+def test_a_motion_that_is_not_finite_does_not_end_the_fit(
+    problem: MakeProblem, adam: MakeAdam, tmp_path: Path
+) -> None:
+    module, callback = FitModule(problem(), adam(cycles=1), 0), ChamferLogger(tmp_path / "c.csv", 1, None, 0)
+    fit(module, callback)
+    assert module.report is not None
+    module.report.positions[1, 0, 0] = torch.nan
+    callback.on_train_batch_end(Trainer(logger=False, enable_checkpointing=False), module, None, None, 0)
+    assert [math.isnan(row[CHAMFER]) for row in table(tmp_path / "c.csv")] == [False, True]
 
 
 def _save_only_at(saving: CycleCheckpoint, cycle: int) -> Callable[..., None]:

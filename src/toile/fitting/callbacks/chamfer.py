@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 from pathlib import Path
 from typing import Any, final
 
@@ -11,7 +12,7 @@ from torch import Tensor
 
 from toile.atomic_file import written_atomically
 from toile.evaluation.chamfer import CHAMFER_SCALE, chamfer_distance
-from toile.evaluation.target_points import target_points
+from toile.evaluation.target_points import known_frames, target_points
 from toile.fitting.callbacks.tensorboard import spread_frames
 from toile.fitting.module import FitModule
 
@@ -57,6 +58,7 @@ class ChamferLogger(Callback):
         chosen = list(range(scene.n_frames))
         if self.frames is not None and self.frames < scene.n_frames:
             chosen = spread_frames(scene.n_frames, self.frames)
+        chosen = [f for f in chosen if f < known_frames(scene.ground_truth)]
         points, _ = target_points(scene.ground_truth, chosen, self.seed)
         self._targets = dict(zip(chosen, points, strict=True)) if points else {}
         self.rows = [row for row in _read(self.file) if row[CYCLE] < pl_module.cycles_done]
@@ -73,10 +75,12 @@ class ChamferLogger(Callback):
         if not compared:
             return
         faces, motion = pl_module.reconstruction.faces, report.positions.detach()
-        distances = [
-            chamfer_distance(motion[f], faces, self._targets[f], seed=self.seed + f) for f in compared
-        ]
-        mean = CHAMFER_SCALE * sum(distances) / len(distances)
+        mean = math.nan
+        if bool(motion.isfinite().all()):
+            distances = [
+                chamfer_distance(motion[f], faces, self._targets[f], seed=self.seed + f) for f in compared
+            ]
+            mean = CHAMFER_SCALE * sum(distances) / len(distances)
         self.rows.append({CYCLE: done - 1, COVERED: report.n_frames, COMPARED: len(compared), CHAMFER: mean})
         _write(self.file, self.rows)
         for logger in trainer.loggers:

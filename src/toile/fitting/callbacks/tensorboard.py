@@ -11,7 +11,7 @@ from lightning.pytorch.loggers import TensorBoardLogger
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from toile.evaluation.target_points import target_points
+from toile.evaluation.target_points import known_frames, target_points
 from toile.evaluation.vertices import vertex_distances
 from toile.fitting.module import FitModule
 from toile.fitting.reconstruction import Reconstruction
@@ -73,7 +73,7 @@ class PictureLogger(Callback):
             return
         r = pl_module.reconstruction
         for f in spread_frames(r.scene.n_frames, self.frames):
-            if f >= report.n_frames:
+            if f >= report.n_frames or not bool(report.positions[f].isfinite().all()):
                 continue
             positions, truth = report.positions[f].detach(), r.scene.ground_truth
             picture = _picture(r, positions, f)
@@ -128,9 +128,10 @@ def _truth_of(
 
     The distance is to the same vertex where that is known, else to the nearest point.
     """
-    clouds, _ = target_points(truth, [frame], seed=0)
-    if truth is None or clouds is None:
+    if truth is None or frame >= known_frames(truth):
         return None, None
+    clouds, _ = target_points(truth, [frame], seed=0)
+    assert clouds is not None
     points = clouds[0].double()
     if truth.vertices is not None and truth.vertices[frame].numel() == positions.numel():
         error = vertex_distances(positions, truth.vertices[frame].reshape(-1, 3))
