@@ -6,14 +6,19 @@ Needs a Chromium. Runs that are already there are used again.
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
+import time
+import urllib.request
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import chromium
 from PIL import Image
+from tensorboard import program
 
 ROOT = Path(__file__).resolve().parents[2]
 HERE = Path(__file__).resolve().parent
@@ -22,6 +27,24 @@ MAX_BYTES = 400_000
 SEEDS = "0,1"
 CHANGES = "optimization.stages.track.priors.turbulence=10,1"
 """What the runs of the sweep differ in."""
+FLAG = (
+    "preset=demo",
+    "settings.name=flag",
+    "settings.grid=[12,12]",
+    "settings.n_frames=16",
+    "settings.image_size=[96,96]",
+    "settings.focal_length=140",
+)
+"""A scene that is fitted in seconds."""
+ABLATIONS = (
+    "experiment=paper",
+    "ablation=none,no_turbulence",
+    "simulator=implicit,surrogate",
+    "optimization.cycles=80",
+    "callbacks.chamfer.every=5",
+    "report.video=false",
+)
+"""What the runs in the dashboard differ in."""
 
 
 def toile(*arguments: str) -> None:
@@ -56,6 +79,46 @@ def demo_sweep() -> Path:
     return folder
 
 
+def ablations() -> Path:
+    """Fits of a small scene by the paper's recipe, which differ in ablation and simulator."""
+    scene, folder = RUNS / "flag", RUNS / "ablations of the flag"
+    if not (scene / "scene.json").is_file():
+        toile("generate", f"folder={scene}", *FLAG)
+    if len(list(folder.glob("*/metrics.json"))) < 4:
+        toile("fit", "-m", f"scene={scene}", *ABLATIONS, f"hydra.sweep.dir='{folder}'")
+    return folder
+
+
+@contextmanager
+def tensorboard(folder: Path) -> Iterator[str]:
+    """TensorBoard on a free port, once it has read all runs; gives its address."""
+    board = program.TensorBoard()
+    board.configure(argv=["", "--logdir", str(folder), "--port", "0", "--load_fast", "false"])
+    address = board.launch().rstrip("/")
+    expected = len(list(folder.glob("*/tensorboard")))
+    for _ in range(120):
+        with urllib.request.urlopen(f"{address}/data/runs") as answer:
+            if len(json.load(answer)) == expected:
+                break
+        time.sleep(0.5)
+    # A run is listed when its first events are read, not its last.
+    time.sleep(10)
+    yield address
+
+
+def dashboard(picture: Path) -> None:
+    """TensorBoard's charts of several runs."""
+    with tensorboard(ablations()) as address:
+        page = f"{address}/#custom_scalars&_smoothingWeight=0"
+        chromium.show(page, picture, width=1500, height=1280)
+
+
+def hparams(picture: Path) -> None:
+    """TensorBoard's table of several runs."""
+    with tensorboard(ablations()) as address:
+        chromium.show(f"{address}/#hparams", picture, width=1900, height=560)
+
+
 def report(picture: Path) -> None:
     """The page of a run, opened where the cloth has moved."""
     chromium.show((demo_run() / "index.html").as_uri() + "#frame=14", picture, width=1400, height=1400)
@@ -66,7 +129,12 @@ def sweep(picture: Path) -> None:
     chromium.show((demo_sweep() / "report.html").as_uri(), picture, width=1400, height=1300)
 
 
-PICTURES: dict[str, Callable[[Path], None]] = {"report": report, "sweep": sweep}
+PICTURES: dict[str, Callable[[Path], None]] = {
+    "report": report,
+    "sweep": sweep,
+    "dashboard": dashboard,
+    "hparams": hparams,
+}
 """Functions that write a PNG, by the name of the picture."""
 
 
