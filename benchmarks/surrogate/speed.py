@@ -26,13 +26,10 @@ _FIRST_SEED = FIRST_SEED["fits"] + 600_000
 
 
 @torch.no_grad()
-def speed(
-    contenders: dict[str, Build], batches: list[int], grid: tuple[int, int], repeats: int
-) -> pd.DataFrame:
-    """One row per batch size, contender and whether the steps leave their derivatives behind."""
-    n = max(batches)
+def speed(contenders: dict[str, Build], size: int, grid: tuple[int, int], repeats: int) -> pd.DataFrame:
+    """Of a batch: one row per contender and whether the steps leave their derivatives behind."""
     # One cloth, as a simulator has; poses, materials and forces differ.
-    cases = [fits_case(_FIRST_SEED + b, grid, WARM_UP + STEPS, _FIRST_SEED) for b in range(n)]
+    cases = [fits_case(_FIRST_SEED + b, grid, WARM_UP + STEPS, _FIRST_SEED) for b in range(size)]
     first = cases[0]
     exact = solver(first.cloth, first.time_step, first.integrator)
     batch = _Batch(cases)
@@ -40,36 +37,34 @@ def speed(
     for t in range(WARM_UP):
         state = batch.step(exact, state, t)
     rows: list[dict[str, object]] = []
-    for size in batches:
-        part, begin = batch.take(size), _take(state, size)
-        for linearize in (False, True):
-            simulators = {
-                name: build(first.cloth, first.time_step, first.integrator)
-                for name, build in {SOLVER: solver, **contenders}.items()
-            }
-            times: dict[str, list[float]] = {name: [] for name in simulators}
-            # In turn, so that whatever slows the machine slows all of them alike; the first round warms up.
-            for turn in range(repeats + 1):
-                for name, simulator in simulators.items():
-                    started = time.process_time()
-                    with Saddles():
-                        _run(simulator, part, begin, linearize)
-                    if turn:
-                        times[name].append(1e3 * (time.process_time() - started) / STEPS)
-            reference = float(np.median(times[SOLVER]))
-            for name, measured in times.items():
-                low, median, high = np.percentile(measured, [25, 50, 75])
-                rows.append(
-                    {
-                        "batch": size,
-                        "linearize": linearize,
-                        "contender": name,
-                        "ms per step": median,
-                        "spread [ms]": (high - low) / 2,
-                        "solver / this": reference / median,
-                    }
-                )
-            print(f"  batch of {size}, linearize={linearize} done", flush=True)
+    for linearize in (False, True):
+        simulators = {
+            name: build(first.cloth, first.time_step, first.integrator)
+            for name, build in {SOLVER: solver, **contenders}.items()
+        }
+        times: dict[str, list[float]] = {name: [] for name in simulators}
+        # In turn, so that whatever slows the machine slows all of them alike; the first round warms up.
+        for turn in range(repeats + 1):
+            for name, simulator in simulators.items():
+                started = time.process_time()
+                with Saddles():
+                    _run(simulator, batch, state, linearize)
+                if turn:
+                    times[name].append(1e3 * (time.process_time() - started) / STEPS)
+        reference = float(np.median(times[SOLVER]))
+        for name, measured in times.items():
+            low, median, high = np.percentile(measured, [25, 50, 75])
+            rows.append(
+                {
+                    "batch": size,
+                    "linearize": linearize,
+                    "contender": name,
+                    "ms per step": median,
+                    "spread [ms]": (high - low) / 2,
+                    "solver / this": reference / median,
+                }
+            )
+        print(f"  batch of {size}, linearize={linearize} done", flush=True)
     return pd.DataFrame(rows)
 
 
@@ -87,10 +82,6 @@ class _Batch:
             torch.cat([m.bending for m in materials]),
         )
 
-    def take(self, size: int) -> _Batch:
-        """The first ones."""
-        return _Batch(self.cases[:size])
-
     def start(self, n_past: int) -> State:
         """All at rest."""
         positions: Tensor = torch.cat([c.positions for c in self.cases])
@@ -106,7 +97,3 @@ class _Batch:
 def _run(simulator: LinearizableSimulator, batch: _Batch, state: State, keep: bool) -> None:
     for t in range(WARM_UP, WARM_UP + STEPS):
         state = batch.step(simulator, state, t, keep)
-
-
-def _take(state: State, size: int) -> State:
-    return State(state.positions[:size], state.velocities[:size], state.past[:size], state.steps)
