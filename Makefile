@@ -76,6 +76,35 @@ simulators: setup ## Fit R1 and a generated scene with solver, hybrid and surrog
 stability: setup ## Fits 40 times longer than usual (SCENE=R1: half a day)
 	$(BIN)/python benchmarks/stability.py $(if $(SCENE),--scene $(SCENE))
 
+# Ablations: what a sweep covers. RECIPE=adam is the paper's optimisation.
+RECIPE ?= tracking
+SCENES ?= R1
+SEEDS ?= 0 1 2
+GENERATED ?= standard swung shaken
+GENERATED_SEEDS ?= 0
+JOBS ?= -1
+ABLATIONS ?= none no_silhouette no_force_regularization no_turbulence no_uv no_successive $(if $(filter tracking,$(RECIPE)),no_calibration) \
+	surrogate hybrid backward_euler one_step_per_frame uniform_rest_lengths uv_from_file supersampled_renderer
+ABLATION_SCENES := outputs/ablations/scenes
+comma := ,
+empty :=
+list = $(subst $(empty) $(empty),$(comma),$(strip $(1)))
+sweep = $(if $(strip $(1)),$(BIN)/toile fit -m hydra=ablations hydra.launcher.n_jobs=$(JOBS) report.video=false \
+	optimization=$(RECIPE) ablation=$(call list,$(ABLATIONS)) scene=$(call list,$(1)) seed=$(call list,$(2)) || status=$$?;)
+
+$(ABLATION_SCENES)/%/scene.json: | $(READY)
+	$(BIN)/toile generate preset=$* folder=$(@D)
+
+.PHONY: ablations
+ablations: setup $(GENERATED:%=$(ABLATION_SCENES)/%/scene.json) ## Fit with one part removed at a time: docs/results/ablations_*; runs what is missing
+	@status=0; $(call sweep,$(SCENES),$(SEEDS)) $(call sweep,$(GENERATED:%=$(ABLATION_SCENES)/%),$(GENERATED_SEEDS)) \
+	$(BIN)/toile tables outputs/ablations/$(RECIPE) name=ablations_$(RECIPE) output=docs/results \
+		note="'Made by \`make ablations RECIPE=$(RECIPE)\`.'"; exit $$status
+
+.PHONY: templates
+templates: setup ## Find the published templates again from meshes and points (needs the recordings in TOILE_DATA)
+	$(BIN)/python benchmarks/templates.py
+
 .PHONY: dashboard
 dashboard: setup ## Show the runs in outputs/ in TensorBoard (RUNS=folder: those below it)
 	$(BIN)/tensorboard --logdir $(or $(RUNS),outputs)

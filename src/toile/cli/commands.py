@@ -30,6 +30,12 @@ COMMANDS = {
         "<run folder> ...",
         plain="run",
     ),
+    "tables": Command(
+        "toile.cli.tables",
+        "ablations as tables: CSV, Markdown, LaTeX",
+        "<sweep folder> ...",
+        plain="run",
+    ),
     "export": Command(
         "toile.cli.export", "write a run for other programs", "run=<run folder> format=usd|glb|obj|ply"
     ),

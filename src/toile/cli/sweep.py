@@ -16,8 +16,10 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from toile.cli.failures import explain
+from toile.errors import InputError
 from toile.reports.atomic_file import write_text
 from toile.reports.run_folder import RunFolder
+from toile.reports.sweep import read_sweep
 
 _started: list[Path] = []
 
@@ -27,7 +29,10 @@ class SweepFolder(Callback):
 
     def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
         """Hydra calls this once, before the runs."""
-        _started.append(Path(config.hydra.sweep.dir).absolute())
+        folder = Path(config.hydra.sweep.dir).absolute()
+        # A sweeper may want to keep something there before the first run does.
+        folder.mkdir(parents=True, exist_ok=True)
+        _started.append(folder)
 
 
 @contextmanager
@@ -52,18 +57,13 @@ def print_summary() -> None:
     if not _started:
         return
     folder = _started.pop()
-    runs = [RunFolder(path.parent) for path in sorted(folder.rglob("config.yaml")) if _is_run(path)]
-    failures = {run.path: run.failure.read_text().strip() for run in runs if run.failure.is_file()}
-    finished = sum(run.metrics.is_file() and run.path not in failures for run in runs)
-    lines = [f"{finished} of {len(runs)} runs in {os.path.relpath(folder)} have a result"]
-    for path, text in failures.items():
-        # Of a traceback, its last line; the rest is in the file.
-        reason = text.splitlines()[-1] if text.startswith("Traceback") else text
-        lines.append(f"failed: {os.path.relpath(path)}\n  {reason}")
-    if finished < len(runs):
-        lines.append("The same command runs what is missing.")
+    try:
+        sweep = read_sweep([folder])
+    except InputError:
+        return  # nothing was begun; why has been said
+    total = len(sweep.runs) + len(sweep.unfinished)
+    lines = [f"{len(sweep.runs)} of {total} runs in {os.path.relpath(folder)} have a result"]
+    lines += [f"{run.name}: {run.reason}" for run in sweep.unfinished]
+    if sweep.unfinished:
+        lines.append(f"The same command with hydra.sweep.dir={os.path.relpath(folder)} runs what is missing.")
     print("\n".join(lines), file=sys.stderr)
-
-
-def _is_run(config: Path) -> bool:
-    return config.parent.name != ".hydra"
