@@ -69,7 +69,12 @@ def test_a_video_becomes_frames_and_masks(toile, clip: Path) -> None:
         assert set(np.unique(mask)) == {0, 255}
         assert SIDE**2 <= (mask > 0).sum() <= (SIDE + 4) ** 2
         assert mask[TOP + 12, LEFT + 2 * k + 12] == 255
-    assert iio.imread(folder / "masks.mp4", plugin="FFMPEG").shape == (N_FRAMES, HEIGHT, WIDTH, 3)
+    preview = iio.imread(folder / "masks.mp4", plugin="FFMPEG")
+    # Cut to the cloth's way and a quarter of its size around.
+    height, width = preview.shape[1:3]
+    assert len(preview) == N_FRAMES
+    assert SIDE < height < HEIGHT
+    assert SIDE + 2 * (N_FRAMES - 1) < width < WIDTH
     # Nothing else is left behind.
     assert sorted(p.name for p in Path("made").iterdir()) == ["mine"]
 
@@ -88,6 +93,17 @@ def test_a_folder_of_images_is_kept_exactly(toile, tmp_path: Path) -> None:
         true = np.zeros((HEIGHT, WIDTH), dtype=bool)
         true[TOP : TOP + SIDE, left : left + SIDE] = True
         assert np.array_equal(found(Path("mine"), k) > 0, true)
+
+
+def test_a_still_to_read_coordinates_from(toile, clip: Path) -> None:
+    status, out, _ = toile("masks", "video=clip.mp4", "start=2", "still=frame.png")
+    assert (status, out.strip()) == (0, "frame.png")
+    assert sorted(p.name for p in Path().iterdir()) == ["clip.mp4", "frame.png"]
+    ruled, plain = read_rgb(Path("frame.png")).numpy().astype(int), pictures()[2]
+    assert ruled.shape == plain.shape
+    # Lines at multiples of 10 px, the frame between them.
+    assert np.abs(ruled[15:19, 21:29] - plain[15:19, 21:29]).max() < 20
+    assert np.abs(ruled[30, 15:19] - plain[30, 15:19]).max() > 50
 
 
 def test_given_masks(toile, tmp_path: Path) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +15,15 @@ from rich.text import Text
 
 from toile.cli.configuration import instantiate
 from toile.cli.terminal import console, print_path
-from toile.reports.mask_pictures import mask_picture
+from toile.reports.atomic_file import written_atomically
+from toile.reports.mask_pictures import mask_picture, rulers
 from toile.reports.overlay import Picture, write_video
 from toile.scenes.atomic_folder import entries_written_atomically
 from toile.scenes.findings import Finding, Severity
+from toile.scenes.images import read_mask, read_rgb, write_levels
 from toile.scenes.native import FILES
 from toile.scenes.segmentation.base import Segmentation, Segmented
-from toile.scenes.segmentation.checks import check_sequence
+from toile.scenes.segmentation.checks import MaskMeasures, check_sequence
 from toile.scenes.segmentation.writing import DESCRIPTION, FOLDERS, write_frames
 from toile.scenes.video import open_clip
 
@@ -31,16 +34,20 @@ NAMES = (*FOLDERS, DESCRIPTION, PREVIEW, "masks.gif")
 
 def run(cfg: DictConfig) -> None:
     """Decode, segment and write; print warnings and paths."""
-    folder = Path(str(cfg.scene.name))
     clip = open_clip(
         Path(str(cfg.video)), start=cfg.start, n_frames=cfg.n_frames, every=cfg.every, fps=cfg.fps
     )
+    if cfg.still is not None:
+        with closing(clip.frames()) as frames, written_atomically(Path(cfg.still)) as file:
+            write_levels(file, rulers(next(frames)))
+        print_path(cfg.still)
+        return
+    folder = Path(str(cfg.scene.name))
     method: Segmentation = instantiate(cfg.method)
-    pictures: list[Picture] = []
     with entries_written_atomically(folder, NAMES, overwrite=cfg.overwrite) as new:
-        segmented = _pictured(method.masks(clip.frames()), pictures, cfg.preview_height)
-        measures = write_frames(new, clip, _with_progress(segmented, clip.expected_frames), _notes(cfg))
-        preview = write_video(pictures, new / PREVIEW, clip.fps)
+        segmented = _with_progress(method.masks(clip.frames()), clip.expected_frames)
+        measures = write_frames(new, clip, segmented, _notes(cfg))
+        preview = write_video(_preview(new, measures, cfg.preview_height), new / PREVIEW, clip.fps)
     out = console()
     findings = check_sequence(measures, cfg.largest_jump, str(folder))
     for finding in [*findings, *_earlier_template(folder)]:
@@ -50,10 +57,17 @@ def run(cfg: DictConfig) -> None:
     print_path(folder / preview.name)
 
 
-def _pictured(segmented: Iterable[Segmented], pictures: list[Picture], height: int) -> Iterator[Segmented]:
-    for number, found in enumerate(segmented):
-        pictures.append(mask_picture(*found, height, f"frame {number}"))
-        yield found
+def _preview(folder: Path, measures: Sequence[MaskMeasures], height: int) -> Iterator[Picture]:
+    """Pictures of what was written, cut to where the cloth is in any frame and a quarter more."""
+    boxes = [m.box for m in measures]
+    margin = max(max(b.height, b.width) for b in boxes) // 4
+    top, left = max(min(b.top for b in boxes) - margin, 0), max(min(b.left for b in boxes) - margin, 0)
+    bottom = max(b.top + b.height for b in boxes) + margin
+    right = max(b.left + b.width for b in boxes) + margin
+    for number in range(len(measures)):
+        frame, mask = read_rgb(folder / (FILES["rgb"] % number)), read_mask(folder / (FILES["mask"] % number))
+        cut = (picture[top:bottom, left:right].numpy() for picture in (frame, mask > 0))
+        yield mask_picture(*cut, height, f"frame {number}")
 
 
 def _with_progress(segmented: Iterable[Segmented], total: int | None) -> Iterable[Segmented]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Generator, Iterator
+from collections.abc import Generator
 from contextlib import closing
 from dataclasses import dataclass
 from itertools import islice
@@ -47,7 +47,7 @@ class Clip:
     n_frames: int | None = None
     expected_frames: int | None = None
 
-    def frames(self) -> Iterator[Frame]:
+    def frames(self) -> Generator[Frame]:
         """The chosen frames, (h, w, 3) uint8 each, one at a time.
 
         Raises:

@@ -6,7 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
+import torch
+
 from toile.scenes.findings import Finding, Severity
+from toile.scenes.masks import Box, bounding_box
 from toile.scenes.segmentation.cleaning import Mask
 
 NAMED = 10  # frames named in a message
@@ -18,17 +21,19 @@ class MaskMeasures:
 
     Attributes:
         area: number of pixels inside.
+        box: bounding box of them.
         at_border: whether one of them is on the border of the image.
     """
 
     area: int
+    box: Box
     at_border: bool
 
 
 def measure(mask: Mask) -> MaskMeasures:
     """Measure a mask (h, w)."""
     border = mask[0].any() or mask[-1].any() or mask[:, 0].any() or mask[:, -1].any()
-    return MaskMeasures(int(mask.sum()), bool(border))
+    return MaskMeasures(int(mask.sum()), bounding_box(torch.from_numpy(mask)), bool(border))
 
 
 def check_sequence(measures: Sequence[MaskMeasures], largest_jump: float, where: str) -> list[Finding]:

@@ -55,7 +55,8 @@ class GrabCut(Segmentation):
             raise InputError(
                 "Cloth is not marked in frame 0" if box is None else "Cloth is marked twice in frame 0",
                 where="method.box, method.polygon",
-                expected="method.box=[x0,y0,x1,y1] or method.polygon=[[x,y],...] in px, one of the two",
+                expected="method.box=[x0,y0,x1,y1] or method.polygon=[[x,y],...] in px, one of the two; "
+                "still=frame.png shows the frame with rulers",
                 got="neither" if box is None else "both",
             )
         self.box = None if box is None else _checked_box(box)
