@@ -114,8 +114,8 @@ def exact_side(side: Floats, n: int) -> Floats:
     return np.column_stack([np.interp(at, along, side[:, k]) for k in range(2)])
 
 
-def smooth_side(side: Floats, n: int, degree: int = 3) -> Floats:
-    """Points on the polynomial through both corners that is nearest to the side (least absolute deviation).
+def smooth_side(side: Floats, n: int, degree: int = 8) -> Floats:
+    """Points on the polynomial through both corners that is nearest to the side (robust least squares).
 
     For outlines taken from pixels, whose steps, loose threads and dents are not the cloth's. A side that
     turns back on its chord is no such function; then the points lie on the side itself.
@@ -128,13 +128,19 @@ def smooth_side(side: Floats, n: int, degree: int = 3) -> Floats:
     y = ((side - side[0]) @ np.array([-chord[1], chord[0]])) / length**2
     if len(side) < 2 * degree or x.min() < -0.2 or x.max() > 1.2:
         return exact_side(side, n)
-    basis = x[:, None] * (1 - x[:, None]) * x[:, None] ** np.arange(degree - 1)
+    basis = _bows(x, degree)
     scale = max(float(np.abs(y).mean()), 1e-9)
     fit = least_squares(lambda c: basis @ c - y, np.zeros(degree - 1), loss="soft_l1", f_scale=scale)
     t = np.linspace(0, 1, 20 * n)
-    bow = (t[:, None] * (1 - t[:, None]) * t[:, None] ** np.arange(degree - 1)) @ fit.x
+    bow = _bows(t, degree) @ fit.x
     curve = side[0] + t[:, None] * chord + bow[:, None] * np.array([-chord[1], chord[0]])
     return exact_side(curve, n)
+
+
+def _bows(x: Floats, degree: int) -> Floats:
+    """Polynomials (n, degree - 1) that vanish at 0 and 1: Legendre's times x (1 - x)."""
+    legendre: Floats = np.polynomial.legendre.legvander(2 * x - 1, degree - 2)
+    return (x * (1 - x))[:, None] * legendre
 
 
 def grid_between(quad: tuple[Floats, Floats, Floats, Floats], shape: tuple[int, int], fit: SideFit) -> Floats:

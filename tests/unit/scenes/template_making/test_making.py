@@ -54,7 +54,7 @@ def mesh_surface(file: Path, axes: Axes = OPENCV) -> MeshSurface:
 
 
 def points_surface(file: Path, axes: Axes = OPENCV) -> PointsSurface:
-    return PointsSurface(file, axes, smoothing=1.0, minimum_cover=0.95, side_degree=4)
+    return PointsSurface(file, axes, smoothing=1.0, minimum_cover=0.95, side_degree=8)
 
 
 def made(still: Still, surface, layout: Layout = ANY_SIZE, **changes):
