@@ -139,8 +139,8 @@ def smooth_side(side: Floats, n: int, degree: int = 8) -> Floats:
 
 def _bows(x: Floats, degree: int) -> Floats:
     """Polynomials (n, degree - 1) that vanish at 0 and 1: Legendre's times x (1 - x)."""
-    legendre: Floats = np.polynomial.legendre.legvander(2 * x - 1, degree - 2)
-    return (x * (1 - x))[:, None] * legendre
+    legendre = np.polynomial.legendre.legvander(2 * x - 1, degree - 2)
+    return np.asarray((x * (1 - x))[:, None] * legendre, dtype=np.float64)
 
 
 def grid_between(quad: tuple[Floats, Floats, Floats, Floats], shape: tuple[int, int], fit: SideFit) -> Floats:
