@@ -264,12 +264,18 @@ def _missing(sweep: Sweep) -> list[str]:
 
 
 def _latex(text: str) -> str:
+    """Escaped, and in characters that every LaTeX engine has."""
     special = {
         "_": r"\_",
         "%": r"\%",
         "&": r"\&",
+        ">": r"$>$",
         "±": r"$\pm$",
         "×": r"$\times$",
         "²": r"\textsuperscript{2}",
+        "⁻": r"\textsuperscript{--}",
+        "⁴": r"\textsuperscript{4}",
+        "½": "1/2",
+        "−": "--",
     }
     return "".join(special.get(c, c) for c in text)

@@ -1,0 +1,120 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+
+from toile.errors import InputError
+from toile.evaluation.evaluate import EvaluationResult, Metric
+from toile.reports.ablation_table import SECONDS, ablation_cells, formatted, read_published, write_tables
+from toile.reports.run_folder import create_run_folder, write_config, write_metrics
+from toile.reports.sweep import read_sweep
+
+ORDER = ["none", "no_uv", "surrogate"]
+ABLATIONS = {"none", "no_silhouette", "no_force_regularization", "no_turbulence", "no_uv", "no_successive"}
+
+
+def make_run(root: Path, scene: str, ablation: str, seed: int, chamfer: float, seconds: float, **settings):
+    run = create_run_folder(root / scene / ablation / f"seed{seed}")
+    write_config(
+        run, yaml.safe_dump({"scene": {"name": scene}, "seed": seed, "ablation": ablation, **settings})
+    )
+    metrics = {
+        "chamfer": Metric("chamfer", "Chamfer distance", "×10⁻⁴ m²", "unaligned", np.full(2, chamfer)),
+        "iou": Metric("iou", "Overlap", "", "of masks", np.full(2, 1 - chamfer / 100), higher_is_better=True),
+    }
+    numbers = EvaluationResult(scene, 2, 0, metrics, {}).to_dict()
+    machine = {"processor": "A&B", "processors": 2, "threads": 1}
+    write_metrics(run, {**numbers, "fit": {"seconds of the fit": seconds}, "machine": machine})
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    folder = tmp_path / "sweep"
+    for seed, chamfer in enumerate((1.0, 2.0, 3.0)):
+        make_run(folder, "R3", "none", seed, chamfer, 60 + seed)
+        make_run(folder, "R3", "surrogate", seed, chamfer / 4, 30 + seed)
+    make_run(folder, "made", "none", 0, 0.05, 10)
+    return folder
+
+
+def cells_of(root: Path, *metrics: str) -> pd.DataFrame:
+    return ablation_cells(read_sweep([root]), metrics, read_published())
+
+
+def test_cells_are_means_and_deviations_over_seeds_with_their_runs(root: Path) -> None:
+    cells = cells_of(root, "chamfer").set_index(["scene", "ablation"])
+    none = cells.loc[("R3", "none")]
+    assert (none["mean"], none["deviation"], none["seeds"]) == (2.0, 1.0, 3)
+    assert none["runs"].split() == [f"R3/none/seed{k}" for k in range(3)]
+    alone = cells.loc[("made", "none")]
+    assert alone["mean"] == 0.05
+    assert np.isnan(alone["deviation"])
+
+
+def test_published_values_stand_beside_the_same_cell_only(root: Path) -> None:
+    cells = cells_of(root, "chamfer", SECONDS).set_index(["metric", "scene", "ablation"])
+    assert cells.loc[("chamfer", "R3", "none"), "published"] == 12.5
+    assert cells.loc[(SECONDS, "R3", "none"), "published"] == pytest.approx(60 * 3.07, abs=0.1)
+    assert cells.published.notna().sum() == 2
+    assert "Stotko" in cells.loc[("chamfer", "R3", "none"), "source"]
+
+
+def test_published_table_is_complete() -> None:
+    published = read_published()
+    chamfer = published[(published.metric == "chamfer") & (published.scene != "R1")]
+    assert set(chamfer.ablation) == ABLATIONS
+    assert len(chamfer) == 6 * len(ABLATIONS)
+    assert not published.duplicated(["metric", "scene", "ablation"]).any()
+
+
+def test_text_has_the_order_asked_for_bold_winners_and_dashes(root: Path) -> None:
+    table = formatted(cells_of(root, "chamfer"), "chamfer", ORDER, "**{}**", " ± ")
+    assert list(table.index) == ["none", "surrogate"]
+    assert table.loc["none", "R3"] == "2.00 ± 1.00 (12.5)"
+    assert table.loc["surrogate", "R3"] == "**0.500 ± 0.250**"
+    assert table.loc["none", "made"] == "**0.0500**"
+    assert table.loc["surrogate", "made"] == "–"
+
+
+def test_where_more_is_better_the_largest_wins(root: Path) -> None:
+    make_run(root, "made", "surrogate", 0, 50.0, 10)
+    table = formatted(cells_of(root, "iou"), "iou", ORDER, "**{}**", " ± ")
+    assert table.loc["none", "made"].startswith("**")
+    assert not table.loc["surrogate", "made"].startswith("**")
+
+
+def test_files(root: Path, tmp_path: Path) -> None:
+    create_run_folder(root / "R3" / "no_uv" / "seed0")
+    (root / "R3" / "no_uv" / "seed0" / "failure.txt").write_text("error: too bad\n")
+    paths = write_tables(read_sweep([root]), ["chamfer", SECONDS], ORDER, tmp_path / "out", "t", "By hand.")
+    csv, markdown, latex = (path.read_text() for path in paths)
+    assert len(csv.splitlines()) == 1 + 2 * 3
+    assert markdown.startswith("By hand.")
+    assert "Protocol: unaligned." in markdown
+    assert "A&B, 2 cores" in markdown
+    assert "`R3/no_uv/seed0`: error: too bad" in markdown
+    assert r"\textbf{0.500 $\pm$ 0.250}" in latex
+    assert r"A\&B" in latex
+    assert not set(latex) & set("±×⁻⁴½–²")
+    assert latex.count(r"\begin{tabular}") == 2
+
+
+def test_a_row_whose_runs_differ_otherwise_is_refused(root: Path) -> None:
+    make_run(root, "R3", "none", 3, 1.0, 1.0, bending=7)
+    with pytest.raises(InputError, match=r"differ in more than scene and seed(?s:.)*bending"):
+        cells_of(root, "chamfer")
+
+
+def test_two_runs_of_one_cell_are_refused(root: Path) -> None:
+    make_run(root / "again", "R3", "none", 0, 1.0, 1.0)
+    with pytest.raises(InputError, match="Two runs claim one cell"):
+        cells_of(root, "chamfer")
+
+
+def test_an_unknown_metric_names_the_known_ones(root: Path) -> None:
+    with pytest.raises(InputError, match=r"chamfer, iou, seconds"):
+        cells_of(root, "nonsense")
