@@ -121,7 +121,8 @@ def rows(case: Case, curve: pd.DataFrame, folder: Path, one_pass: int) -> list[d
             "chamfer x1e4 [m²]": at[CHAMFER],
             "worst since the usual length": after[after[CYCLE] <= cycle][CHAMFER].max(),
         }
-        if history is not None:
+        # An interrupted run has written its history, and gone on since.
+        if history is not None and cycle < len(history):
             line |= {name: history[column].iloc[cycle] for name, column in WATCHED.items()}
             line["seconds"] = history["seconds"].iloc[: cycle + 1].sum()
         found.append(line)
