@@ -13,7 +13,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.ticker import NullFormatter, NullLocator, StrMethodFormatter
+from matplotlib.ticker import LogLocator, NullFormatter, NullLocator, StrMethodFormatter
 
 from toile.atomic_file import written_atomically
 from toile.errors import InputError
@@ -187,6 +187,7 @@ def stability_curves(
         ticks = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 40]
         axis.set_xticks(ticks, ["usual length" if t == 1 else f"{t:g}×" for t in ticks])
         axis.xaxis.set_minor_locator(NullLocator())
+        axis.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         axis.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
         axis.yaxis.set_minor_formatter(NullFormatter())
         axis.set_xlabel("cycles, in units of the usual length")
