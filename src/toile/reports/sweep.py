@@ -228,7 +228,13 @@ def _asked_for(members: Sequence[Run], runs: Sequence[Run]) -> str:
     everywhere = set(runs[0].overrides).intersection(*(r.overrides for r in runs))
     within = set(members[0].overrides).intersection(*(r.overrides for r in members))
     own = [o for o in members[0].overrides if o in within - everywhere and not _shared(o)]
-    return ", ".join(own) or ("as configured" if len(members) < len(runs) else "")
+    return ", ".join(map(_without_path, own)) or ("as configured" if len(members) < len(runs) else "")
+
+
+def _without_path(override: str) -> str:
+    """Short enough for a label: "turbulence=1", not "optimization.stages.track.priors.turbulence=1"."""
+    key, equals, value = override.partition("=")
+    return key.rpartition(".")[2] + equals + value if equals else override
 
 
 def _shared(override: str) -> bool:

@@ -50,8 +50,35 @@ addEventListener("unhandledrejection", (e) => trouble.push("rejected: " + e.reas
 addEventListener("securitypolicyviolation", (e) => trouble.push("blocked: " + e.blockedURI));
 console.error = (...words) => trouble.push("console: " + words.join(" "));
 </script>"""
-# Once everything is drawn, says what the page is like; then moves the slider as a hand would.
+# Once everything is drawn, says what the page is like, and what it does when it is used.
 PROBE = """<script>
+const used = (start) => {
+  const find = (id) => document.getElementById(id);
+  const [clock, slider, picture] = ["clock", "frame", "frame-picture"].map(find);
+  const frame = () => Number(clock.textContent.match(/[0-9]+/)[0]);
+  const press = (key) => {
+    document.body.dispatchEvent(new KeyboardEvent("keydown", { key, bubbles: true, cancelable: true }));
+    return frame();
+  };
+  const slide = (f) => {
+    slider.value = f;
+    slider.dispatchEvent(new Event("input", { bubbles: true }));
+    return [frame(), picture.src, document.getElementById("playback").data[0].x[0][0]];
+  };
+  const choose = (view) => {
+    document.querySelector(`input[value=${view}]`).click();
+    return picture.src;
+  };
+  const done = {
+    keys: [press("Home"), press("ArrowRight"), press("End"), press("ArrowLeft")],
+    slid: [slide(1), slide(3)],
+    views: ["rendered", "difference", "observed"].map(choose),
+  };
+  document.getElementById("map-error").emit("plotly_click", { points: [{ curveNumber: 2, x: 2 }] });
+  done.clicked = frame();
+  slide(start);
+  return done;
+};
 const box = (id) => {
   const place = document.getElementById(id);
   if (!place) return null;
@@ -70,6 +97,7 @@ const waiting = setInterval(() => {
     undrawn: [...document.querySelectorAll("[data-figure]")].filter((p) => !p.querySelector("svg")).length,
     clock: document.getElementById("clock")?.textContent,
   };
+  if (found.clock) found.used = used(Number(found.clock.match(/[0-9]+/)[0]));
   const note = document.createElement("pre");
   note.id = "probe";
   note.hidden = true;
@@ -125,6 +153,14 @@ def test_page_of_a_run(tiny_scene: Scene, tmp_path: Path) -> None:
         assert probe["requests"] == []
         assert probe["overflow"] == 0
         assert probe["undrawn"] == 0
+        used = probe["used"]
+        assert used["keys"] == [0, 1, 3, 2]
+        (one, one_picture, one_x), (three, three_picture, three_x) = used["slid"]
+        assert (one, three) == (1, 3)
+        assert one_picture != three_picture
+        assert one_x != three_x
+        assert len(set(used["views"])) == 3
+        assert used["clicked"] == 2
     assert first["clock"].startswith("frame 0 of 3")
     assert last["clock"].startswith("frame 3 of 3")
     for name in ("picture", "space"):
