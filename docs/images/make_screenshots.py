@@ -116,7 +116,7 @@ def dashboard(picture: Path) -> None:
 def hparams(picture: Path) -> None:
     """TensorBoard's table of several runs."""
     with tensorboard(ablations()) as address:
-        chromium.show(f"{address}/#hparams", picture, width=1900, height=560)
+        chromium.show(f"{address}/#hparams", picture, width=2200, height=480)
 
 
 def report(picture: Path) -> None:

@@ -42,7 +42,7 @@ def test_a_sweep_can_be_compared(swaying_scene: Scene, toile: Toile, tmp_path: P
         assert abs(final - metrics["chamfer"]["mean"]) < 1e-6
         assert {"final metrics/text_summary", "configuration/text_summary"} <= set(events.Tags()["tensors"])
         assert (run / "chamfer.csv").is_file()
-    assert [c.pop("seed") for c in found] == [0, 1]
+    assert [c.pop("seed") for c in found] == ["0", "1"]
     assert found[0] == found[1]
     assert found[0]["scene"] == "swaying"
     assert found[0]["optimization"] == "adam"

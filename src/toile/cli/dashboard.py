@@ -41,7 +41,7 @@ def compared_choices(cfg: DictConfig) -> dict[str, Choice]:
     choices: dict[str, Choice] = {"scene": Path(str(cfg.scene.name)).name}
     choices |= {group: str(chosen.get(group) or "–") for group in _GROUPS}
     choices["substeps"] = "as needed" if cfg.simulator.substeps is None else str(cfg.simulator.substeps)
-    choices["seed"] = int(cfg.seed)
+    choices["seed"] = str(cfg.seed)  # a name, not a quantity
     for name in ("stretching", "shearing", "bending"):
         choices[f"start: {name}"] = float(cfg.parameters[name])
     return choices
