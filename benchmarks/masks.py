@@ -1,7 +1,7 @@
 """How well `toile masks` cuts a cloth out of a clip: IoU with known masks, and time.
 
     python benchmarks/masks.py              # generated clips, and R1 where the data folder has it
-    python benchmarks/masks.py --frames 10  # only the first ones of R1
+    python benchmarks/masks.py --frames 8   # only the first ones of R1 before a wall
 
 The true masks come with R1 and with generated scenes. R1's frames show the cloth on black; for a harder clip
 its cloth, or a generated one, is put before a wall (plain, or cluttered with shapes in all colours), with the
@@ -131,7 +131,7 @@ def _processor_seconds() -> float:
     return times.children_user + times.children_system
 
 
-def sources(outputs: Path, frames: int | None) -> list[Source]:
+def sources(outputs: Path) -> list[Source]:
     """R1 where it is, and two generated scenes."""
     found = []
     r1 = data_folder() / "phi_sft" / "R1"
@@ -139,8 +139,8 @@ def sources(outputs: Path, frames: int | None) -> list[Source]:
         found.append(
             Source(
                 "R1",
-                sorted((r1 / "rgbs").glob("*.png"))[:frames],
-                sorted((r1 / "masks").glob("*.png"))[:frames],
+                sorted((r1 / "rgbs").glob("*.png")),
+                sorted((r1 / "masks").glob("*.png")),
             )
         )
     else:
@@ -168,18 +168,20 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--frames", type=int, help="of R1; all by default")
+    parser.add_argument("--frames", type=int, help="of R1 before a wall; all by default")
     parser.add_argument("--outputs", type=Path, default=ROOT / "outputs" / "masks")
     options = parser.parse_args()
     outputs = options.outputs.resolve()
     outputs.mkdir(parents=True, exist_ok=True)
     marks: tuple[Callable[[np.ndarray], str], ...] = (box, polygon)
     rows = []
-    for source in sources(outputs, options.frames):
+    for source in sources(outputs):
         first = source.true_mask(0)
         if source.name == "R1":
             published, folder = source.frames[0].parent, outputs / "R1_black"
             rows.append(measure(source, "on black", published, folder, "dark_background", f"fps={FPS}"))
+            n = options.frames
+            source = source._replace(frames=source.frames[:n], masks=source.masks[:n])  # noqa: PLW2901
         for kind in ("plain", "cluttered"):
             video = outputs / f"{source.name}_{kind}.mp4"
             film(source, wall(*first.shape, cluttered=kind == "cluttered"), video)

@@ -66,8 +66,8 @@ def _preview(folder: Path, measures: Sequence[MaskMeasures], height: int) -> Ite
     right = max(b.left + b.width for b in boxes) + margin
     for number in range(len(measures)):
         frame, mask = read_rgb(folder / (FILES["rgb"] % number)), read_mask(folder / (FILES["mask"] % number))
-        cut = (picture[top:bottom, left:right].numpy() for picture in (frame, mask > 0))
-        yield mask_picture(*cut, height, f"frame {number}")
+        frame, mask = (picture[top:bottom, left:right] for picture in (frame, mask))
+        yield mask_picture(frame.numpy(), mask.numpy() > 0, height, f"frame {number}")
 
 
 def _with_progress(segmented: Iterable[Segmented], total: int | None) -> Iterable[Segmented]:
