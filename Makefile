@@ -82,6 +82,7 @@ SCENES ?= R1
 SEEDS ?= 0 1 2
 GENERATED ?= standard swung shaken
 GENERATED_SEEDS ?= 0
+GENERATED_FRAMES ?= 25
 JOBS ?= -1
 ABLATIONS ?= none no_silhouette no_force_regularization no_turbulence no_uv no_successive $(if $(filter tracking,$(RECIPE)),no_calibration) \
 	surrogate hybrid backward_euler one_step_per_frame uniform_rest_lengths uv_from_file supersampled_renderer
@@ -89,7 +90,7 @@ ABLATION_SCENES := outputs/ablations/scenes
 comma := ,
 empty :=
 list = $(subst $(empty) $(empty),$(comma),$(strip $(1)))
-sweep = $(if $(strip $(1)),$(BIN)/toile fit -m hydra=ablations hydra.launcher.n_jobs=$(JOBS) report.video=false \
+sweep = $(if $(strip $(1)),$(BIN)/toile fit -m hydra=ablations hydra.launcher.n_jobs=$(JOBS) report.video=false $(3) \
 	optimization=$(RECIPE) ablation=$(call list,$(ABLATIONS)) scene=$(call list,$(1)) seed=$(call list,$(2)) || status=$$?;)
 
 $(ABLATION_SCENES)/%/scene.json: | $(READY)
@@ -97,7 +98,7 @@ $(ABLATION_SCENES)/%/scene.json: | $(READY)
 
 .PHONY: ablations
 ablations: setup $(GENERATED:%=$(ABLATION_SCENES)/%/scene.json) ## Fit with one part removed at a time: docs/results/ablations_*; runs what is missing
-	@status=0; $(call sweep,$(SCENES),$(SEEDS)) $(call sweep,$(GENERATED:%=$(ABLATION_SCENES)/%),$(GENERATED_SEEDS)) \
+	@status=0; $(call sweep,$(SCENES),$(SEEDS)) $(call sweep,$(GENERATED:%=$(ABLATION_SCENES)/%),$(GENERATED_SEEDS),scene.n_frames=$(GENERATED_FRAMES)) \
 	$(BIN)/toile tables outputs/ablations/$(RECIPE) name=ablations_$(RECIPE) output=docs/results \
 		note="'Made by \`make ablations RECIPE=$(RECIPE)\`.'"; exit $$status
 

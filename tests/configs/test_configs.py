@@ -20,7 +20,7 @@ from toile.generation.presets import SHAKEN, STANDARD, SWUNG
 
 HYDRAS_OWN = {"_target_", "_partial_", "_convert_", "_recursive_"}
 PLAIN = (str, int, float, bool, tuple)
-DELTAS = ("preset", "experiment", "debug")  # groups whose point is to differ from the defaults
+DELTAS = ("ablation", "preset", "experiment", "debug")  # groups whose point is to differ from the defaults
 OPTIONS = sorted(
     f"{path.parent.relative_to(CONF).as_posix()}={path.stem}"
     for path in CONF.rglob("*.yaml")
@@ -36,12 +36,23 @@ def _hydra() -> Iterator[None]:
         yield
 
 
+def overrides(option: str) -> list[str]:
+    """How a user chooses it."""
+    group, _, name = option.partition("=")
+    match group.split("/"):
+        case ["windows"]:
+            return [f"windows@optimization.stages.track.windows={name}"]
+        case ["ablation_of", optimization]:
+            return [f"optimization={optimization}", f"ablation={name}"]
+    return [option]
+
+
 def composed(option: str) -> dict[str, DictConfig]:
     """The option in every command that has its group."""
     found = {}
     for command in PRIMARY:
         try:
-            found[command] = compose(command, [option])
+            found[command] = compose(command, overrides(option))
         except ConfigCompositionException as error:
             if "Could not override" not in str(error):
                 raise
