@@ -13,9 +13,9 @@ from rich.console import Console
 from rich.progress import track
 from rich.text import Text
 
+from toile.atomic_file import written_atomically
 from toile.cli.configuration import instantiate
 from toile.cli.terminal import console, print_path
-from toile.reports.atomic_file import written_atomically
 from toile.reports.mask_pictures import mask_picture, rulers
 from toile.reports.overlay import Picture, write_video
 from toile.scenes.atomic_folder import entries_written_atomically

@@ -11,10 +11,11 @@ import yaml
 from toile.errors import InputError
 from toile.fitting.callbacks.checkpoint import CycleCheckpoint
 from toile.reports.run_folder import RunFolder, read_config
+from toile.reports.run_settings import WITHOUT_INFLUENCE
 
 _KEY = "resume"
-# Parts of a configuration that may differ between the two halves of a run: they leave the result alone.
-_FREE = ("trainer", "logger", "callbacks", "paths", "report", "max_minutes", "objective")
+# Settings that may differ between the two halves of a run: they leave the result alone.
+_FREE = (*WITHOUT_INFLUENCE, "max_minutes")
 
 
 def resume_arguments(arguments: Sequence[str], what: str) -> list[str]:
@@ -102,7 +103,7 @@ def _binding(config: Any, prefix: str = "") -> dict[str, Any]:
     flat: dict[str, Any] = {}
     for key, value in config.items():
         name = f"{prefix}{key}"
-        if name in _FREE or name == "scene.data_dir":
+        if name in _FREE:
             continue
         flat.update(_binding(value, f"{name}.") if isinstance(value, dict) else {name: value})
     return flat

@@ -15,9 +15,9 @@ from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
+from toile.atomic_file import write_text
 from toile.cli.failures import explain
 from toile.errors import InputError
-from toile.reports.atomic_file import write_text
 from toile.reports.run_folder import RunFolder
 from toile.reports.sweep import read_sweep
 

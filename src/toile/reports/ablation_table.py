@@ -13,8 +13,8 @@ from typing import Any
 
 import pandas as pd
 
+from toile.atomic_file import write_text
 from toile.errors import InputError
-from toile.reports.atomic_file import write_text
 from toile.reports.run_folder import read_git_revision, read_metrics
 from toile.reports.run_settings import differences
 from toile.reports.sweep import Run, Sweep
