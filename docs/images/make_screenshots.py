@@ -13,7 +13,7 @@ import tempfile
 import time
 import urllib.request
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import chdir, contextmanager
 from pathlib import Path
 
 import chromium
@@ -93,17 +93,20 @@ def ablations() -> Path:
 def tensorboard(folder: Path) -> Iterator[str]:
     """TensorBoard on a free port, once it has read all runs; gives its address."""
     board = program.TensorBoard()
-    board.configure(argv=["", "--logdir", str(folder), "--port", "0", "--load_fast", "false"])
-    address = board.launch().rstrip("/")
-    expected = len(list(folder.glob("*/tensorboard")))
-    for _ in range(120):
-        with urllib.request.urlopen(f"{address}/data/runs") as answer:
-            if len(json.load(answer)) == expected:
-                break
-        time.sleep(0.5)
-    # A run is listed when its first events are read, not its last.
-    time.sleep(10)
-    yield address
+    # The page shows the folder as it is given here, and nobody's home belongs into a picture.
+    with chdir(ROOT):
+        where = str(folder.relative_to(ROOT))
+        board.configure(argv=["", "--logdir", where, "--port", "0", "--load_fast", "false"])
+        address = board.launch().rstrip("/")
+        expected = len(list(folder.glob("*/tensorboard")))
+        for _ in range(120):
+            with urllib.request.urlopen(f"{address}/data/runs") as answer:
+                if len(json.load(answer)) == expected:
+                    break
+            time.sleep(0.5)
+        # A run is listed when its first events are read, not its last.
+        time.sleep(10)
+        yield address
 
 
 def dashboard(picture: Path) -> None:
