@@ -114,17 +114,12 @@ def formatted(cells: pd.DataFrame, metric: str, order: Sequence[str], bold: str,
 def caption(sweep: Sweep, cells: pd.DataFrame, metric: str) -> str:
     """What the numbers are, how they were measured, on what, and where the published ones come from."""
     own = cells[cells.metric == metric]
-    run = sweep.runs[0]
-    title, unit = _title(run, metric)
-    if metric == SECONDS:
-        protocol = "time of the optimisation, without loading, evaluation and report"
-    else:
-        protocol = run.evaluation.metrics[metric].protocol
-    recipe = str(run.settings.get("optimization", {}).get("_target_", "")).rpartition(".")[2]
+    title, unit = own.title.iloc[0], own.unit.iloc[0]
+    recipes = sorted({_recipe(run) for run in sweep.runs})
     parts = [
         f"{title}{f' [{unit}]' if unit else ''}, mean ± standard deviation over the seeds where there are "
-        f"several; the best of a column in bold; recipe {recipe}.",
-        f"Protocol: {protocol}.",
+        f"several; the best of a column in bold; recipe {', '.join(recipes)}.",
+        *(f"Protocol{scenes}: {protocol}." for protocol, scenes in _protocols(sweep, metric).items()),
     ]
     sources = sorted(set(own.source.dropna()))
     if sources:
@@ -135,6 +130,25 @@ def caption(sweep: Sweep, cells: pd.DataFrame, metric: str) -> str:
     )
     parts.append(f"Measured on {'; '.join(machines)}. Code: {', '.join(revisions) or 'unknown'}.")
     return " ".join(parts)
+
+
+def _recipe(run: Run) -> str:
+    optimization = run.settings.get("optimization")
+    target = optimization.get("_target_", "") if isinstance(optimization, dict) else ""
+    return str(target).rpartition(".")[2] or "unknown"
+
+
+def _protocols(sweep: Sweep, metric: str) -> dict[str, str]:
+    """How a metric was measured, and for which scenes, said only where they differ."""
+    if metric == SECONDS:
+        return {"time of the optimisation, without loading, evaluation and report": ""}
+    scenes: dict[str, dict[str, None]] = {}
+    for run in sweep.runs:
+        found = run.evaluation.metrics.get(metric)
+        if found is not None and not math.isnan(found.mean):
+            scenes.setdefault(found.protocol, {})[run.evaluation.scene] = None
+    named = {protocol: f" ({', '.join(names)})" for protocol, names in scenes.items()}
+    return named if len(named) > 1 else dict.fromkeys(named, "")
 
 
 def machine_name(run: Run) -> str:
@@ -167,7 +181,8 @@ def write_tables(
     for metric in metrics:
         words = caption(sweep, cells, metric)
         shown = formatted(cells, metric, order, "**{}**", " ± ")
-        markdown += [f"## {_title(sweep.runs[0], metric)[0]}", words, shown.to_markdown()]
+        title = cells.title[cells.metric == metric].iloc[0]
+        markdown += [f"## {title}", words, shown.to_markdown()]
         plain = formatted(cells, metric, order, r"\textbf{{{}}}", r" $\pm$ ").replace("–", "--")
         plain.index = plain.index.str.replace("_", r"\_")
         plain.columns = plain.columns.str.replace("_", r"\_")

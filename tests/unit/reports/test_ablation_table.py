@@ -18,14 +18,18 @@ ABLATIONS = {"none", "no_silhouette", "no_force_regularization", "no_turbulence"
 
 
 def make_run(root: Path, scene: str, ablation: str, seed: int, chamfer: float, seconds: float, **settings):
+    """A run; scenes that were made have exact vertices, and another protocol."""
     run = create_run_folder(root / scene / ablation / f"seed{seed}")
     write_config(
         run, yaml.safe_dump({"scene": {"name": scene}, "seed": seed, "ablation": ablation, **settings})
     )
+    protocol = "unaligned, samples of the mesh" if scene == "made" else "unaligned"
     metrics = {
-        "chamfer": Metric("chamfer", "Chamfer distance", "×10⁻⁴ m²", "unaligned", np.full(2, chamfer)),
+        "chamfer": Metric("chamfer", "Chamfer distance", "×10⁻⁴ m²", protocol, np.full(2, chamfer)),
         "iou": Metric("iou", "Overlap", "", "of masks", np.full(2, 1 - chamfer / 100), higher_is_better=True),
     }
+    if scene == "made":
+        metrics["vertices"] = Metric("vertices", "Vertex error", "mm", "of vertices", np.full(2, 1.0))
     numbers = EvaluationResult(scene, 2, 0, metrics, {}).to_dict()
     machine = {"processor": "A&B", "processors": 2, "threads": 1}
     write_metrics(run, {**numbers, "fit": {"seconds of the fit": seconds}, "machine": machine})
@@ -90,17 +94,21 @@ def test_where_more_is_better_the_largest_wins(root: Path) -> None:
 def test_files(root: Path, tmp_path: Path) -> None:
     create_run_folder(root / "R3" / "no_uv" / "seed0")
     (root / "R3" / "no_uv" / "seed0" / "failure.txt").write_text("error: too bad\n")
-    paths = write_tables(read_sweep([root]), ["chamfer", SECONDS], ORDER, tmp_path / "out", "t", "By hand.")
+    paths = write_tables(
+        read_sweep([root]), ["chamfer", "vertices", SECONDS], ORDER, tmp_path / "out", "t", "By hand."
+    )
     csv, markdown, latex = (path.read_text() for path in paths)
-    assert len(csv.splitlines()) == 1 + 2 * 3
+    assert len(csv.splitlines()) == 1 + 2 * 3 + 1
     assert markdown.startswith("By hand.")
-    assert "Protocol: unaligned." in markdown
+    assert "Protocol (R3): unaligned." in markdown
+    assert "Protocol (made): unaligned, samples of the mesh." in markdown
+    assert "Protocol: of vertices." in markdown
     assert "A&B, 2 cores" in markdown
     assert "`R3/no_uv/seed0`: error: too bad" in markdown
     assert r"\textbf{0.500 $\pm$ 0.250}" in latex
     assert r"A\&B" in latex
     assert not set(latex) & set("±×⁻⁴½–²")
-    assert latex.count(r"\begin{tabular}") == 2
+    assert latex.count(r"\begin{tabular}") == 3
 
 
 def test_a_row_whose_runs_differ_otherwise_is_refused(root: Path) -> None:
@@ -116,5 +124,5 @@ def test_two_runs_of_one_cell_are_refused(root: Path) -> None:
 
 
 def test_an_unknown_metric_names_the_known_ones(root: Path) -> None:
-    with pytest.raises(InputError, match=r"chamfer, iou, seconds"):
+    with pytest.raises(InputError, match=r"chamfer, iou, seconds, vertices"):
         cells_of(root, "nonsense")
