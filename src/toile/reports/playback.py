@@ -113,11 +113,12 @@ def _scene(points: npt.NDArray[np.floating]) -> dict[str, Any]:
     # Proportional, with the longest side 1, so that the cloth fills the view whatever its depth.
     extent = (high - low) + 2 * margin
     ratio = {axis: float(extent[k] / extent.max()) for k, axis in enumerate("xyz")}
-    eye = {"x": 0.69, "y": -1.44, "z": 0.32}
+    # Far enough that the titles of the axes are not cut.
+    eye, centre = {"x": 0.8, "y": -1.66, "z": 0.3}, {"x": 0.1, "y": 0.0, "z": -0.09}
     return {
         **axes,
         "aspectmode": "manual",
         "aspectratio": ratio,
-        "camera": {"eye": eye},
+        "camera": {"eye": eye, "center": centre},
         "dragmode": "turntable",
     }
