@@ -106,6 +106,10 @@ ablations: setup $(GENERATED:%=$(ABLATION_SCENES)/%/scene.json) ## Fit with one 
 templates: setup ## Find the published templates again from meshes and points (needs the recordings in TOILE_DATA)
 	$(BIN)/python benchmarks/templates.py
 
+.PHONY: masks
+masks: setup ## Measure how well a cloth is cut out of a clip: docs/results/masks.md
+	$(BIN)/python benchmarks/masks.py
+
 .PHONY: dashboard
 dashboard: setup ## Show the runs in outputs/ in TensorBoard (RUNS=folder: those below it)
 	$(BIN)/tensorboard --logdir $(or $(RUNS),outputs)
