@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -126,7 +127,7 @@ def read_sweep(folders: Sequence[Path]) -> Sweep:
     common = folders[0].resolve() if len(folders) == 1 else Path(os.path.commonpath(list(found)))
     read = [_read(RunFolder(path), _name(path, common)) for path in sorted(found)]
     runs = tuple(r for r in read if isinstance(r, Run))
-    chosen = [d for d in differences([r.settings for r in runs]) if d.paths[0] not in ("seed", "scene.name")]
+    chosen = [d for d in differences([r.settings for r in runs]) if _is_choice(d, runs)]
     return Sweep(
         folder=common,
         runs=runs,
@@ -134,6 +135,17 @@ def read_sweep(folders: Sequence[Path]) -> Sweep:
         differences=tuple(chosen),
         groups=_groups(runs, chosen),
     )
+
+
+def _is_choice(difference: Difference, runs: Sequence[Run]) -> bool:
+    """Whether runs differ in it by choice: not the seed, the scene, or what goes with the scene."""
+    path = difference.paths[0]
+    if not path.startswith("scene."):
+        return path != "seed"
+    values: dict[str, set[str]] = {}
+    for run, value in zip(runs, difference.values, strict=True):
+        values.setdefault(run.evaluation.scene, set()).add(value)
+    return path != "scene.name" and any(len(found) > 1 for found in values.values())
 
 
 def _run_folders(folder: Path) -> Iterator[Path]:
@@ -211,8 +223,9 @@ def _overrides(folder: Path) -> tuple[str, ...]:
 
 def _groups(runs: Sequence[Run], chosen: Sequence[Difference]) -> tuple[Group, ...]:
     members: dict[tuple[str, ...], list[Run]] = {}
+    told_apart = [_besides_the_scene(d, runs) for d in chosen]
     for k, run in enumerate(runs):
-        members.setdefault(tuple(d.values[k] for d in chosen), []).append(run)
+        members.setdefault(tuple(values[k] for values in told_apart), []).append(run)
     labels = [_asked_for(found, runs) for found in members.values()]
     if len(set(labels)) < len(labels):
         # Not asked for in so many words: then what the configurations say.
@@ -221,6 +234,21 @@ def _groups(runs: Sequence[Run], chosen: Sequence[Difference]) -> tuple[Group, .
         ]
     named = zip(labels, members.values(), strict=True)
     return tuple(Group(label or "all runs", tuple(found)) for label, found in named)
+
+
+def _besides_the_scene(difference: Difference, runs: Sequence[Run]) -> tuple[str, ...]:
+    """The values of a difference, or "" where one is what most runs of the same scene have.
+
+    Scenes bring settings of their own, which do not make another group of the same ablation.
+    """
+    if not difference.paths[0].startswith("scene."):
+        return difference.values
+    found: dict[str, Counter[str]] = {}
+    for run, value in zip(runs, difference.values, strict=True):
+        found.setdefault(run.evaluation.scene, Counter())[value] += 1
+    usual = {scene: counts.most_common(1)[0][0] for scene, counts in found.items()}
+    own = zip(runs, difference.values, strict=True)
+    return tuple("" if value == usual[run.evaluation.scene] else value for run, value in own)
 
 
 def _asked_for(members: Sequence[Run], runs: Sequence[Run]) -> str:

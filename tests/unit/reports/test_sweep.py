@@ -9,6 +9,7 @@ import yaml
 
 from toile.errors import InputError
 from toile.evaluation.evaluate import EvaluationResult, Metric
+from toile.reports.page.charts import DotPanel, dots
 from toile.reports.page.sweep_page import Spread, SweepPage, write_sweep_page
 from toile.reports.run_folder import create_run_folder, write_config, write_metrics, write_trajectory
 from toile.reports.run_settings import differences, read_settings
@@ -47,6 +48,35 @@ def test_runs_are_found_at_any_depth_and_grouped_by_what_differs(sweep_folder: P
     assert [r.name for r in sweep.runs] == [f"R1/{g}/seed{s}" for g in ("none", "weak") for s in (0, 1)]
     assert [(d.name, d.values) for d in sweep.differences] == [("turbulence", ("10", "10", "1", "1"))]
     assert [(g.label, len(g.runs)) for g in sweep.groups] == [("turbulence = 10", 2), ("turbulence = 1", 2)]
+
+
+def test_what_goes_with_a_scene_is_no_choice(tmp_path: Path) -> None:
+    for ablation, frames in (("none", 25), ("weak", 25)):
+        settings = {"ablation": ablation}
+        make_run(tmp_path / "R1" / ablation, 0.5, **settings)
+        run = make_run(tmp_path / "made" / ablation, 90.0, scene="made", **settings)
+        scene = {"name": "made", "n_frames": frames}
+        write_config(run, yaml.safe_dump({"scene": scene, "seed": 0, **settings}))
+    sweep = read_sweep([tmp_path])
+    assert [d.name for d in sweep.differences] == ["ablation"]
+    assert [len(g.runs) for g in sweep.groups] == [2, 2]
+    scene = {"name": "made", "n_frames": 5}
+    other = make_run(tmp_path / "made" / "short", 0.5, scene="made", ablation="none")
+    write_config(other, yaml.safe_dump({"scene": scene, "seed": 0, "ablation": "none"}))
+    longer = read_sweep([tmp_path])
+    assert [d.name for d in longer.differences] == ["ablation", "n_frames"]
+    # The scene's own number of frames does not tell its runs from those of R1; another one does.
+    assert sorted(len(g.runs) for g in longer.groups) == [1, 2, 2]
+
+
+def test_dots_that_span_decades_have_a_logarithmic_axis() -> None:
+    def types(*values: float) -> list[str | None]:
+        chart = dots(["a", "b"], [["r"], ["s"]], [DotPanel("t", "mm", [[values[0]], [values[1]]])])
+        return [chart.layout.xaxis.type]
+
+    assert types(0.5, 500.0) == ["log"]
+    assert types(0.5, 0.6) == [None]
+    assert types(0.0, 500.0) == [None]
 
 
 def test_overrides_name_the_groups(sweep_folder: Path) -> None:

@@ -176,6 +176,10 @@ class DotPanel:
     values: Sequence[Sequence[float]]
 
 
+MAX_LINEAR_RANGE = 30.0
+"""Ratio of the largest value to the smallest from which on an axis of dots is logarithmic."""
+
+
 def dots(groups: Sequence[str], names: Sequence[Sequence[str]], panels: Sequence[DotPanel]) -> go.Figure:
     """Groups below each other; in every panel a dot per run and a bar at the group's mean.
 
@@ -192,7 +196,8 @@ def dots(groups: Sequence[str], names: Sequence[Sequence[str]], panels: Sequence
         subplot_titles=[escape(p.title) for p in panels],
     )
     for column, panel in enumerate(panels, start=1):
-        figure.update_xaxes(title={"text": escape(panel.unit), **SMALL}, row=1, col=column)
+        axis = {"type": "log", "dtick": 1} if _spans_decades(panel) else {"nticks": 5}
+        figure.update_xaxes(title={"text": escape(panel.unit), **SMALL}, **axis, row=1, col=column)
         for row, values in enumerate(panel.values):
             colour = SERIES[row % len(SERIES)]
             hover = f"%{{text}}: %{{x:.4g}} {escape(panel.unit)}<extra></extra>"
@@ -223,8 +228,14 @@ def dots(groups: Sequence[str], names: Sequence[Sequence[str]], panels: Sequence
     labels = [escape(label) for label in groups]
     figure.update_yaxes(range=[len(groups) - 0.4, -0.6], tickmode="array", tickvals=list(range(len(groups))))
     figure.update_yaxes(ticktext=labels, tickfont={"size": 12, "color": INK}, automargin=True, col=1)
-    figure.update_xaxes(nticks=5, rangemode="normal", exponentformat="power")
+    figure.update_xaxes(rangemode="normal", exponentformat="power")
     return plain(figure, ROW_HEIGHT * len(groups) + 90)
+
+
+def _spans_decades(panel: DotPanel) -> bool:
+    """Whether small values could not be told apart on a linear axis."""
+    known = [v for values in panel.values for v in values if np.isfinite(v)]
+    return bool(known) and min(known) > 0 and max(known) > MAX_LINEAR_RANGE * min(known)
 
 
 @dataclass(frozen=True)

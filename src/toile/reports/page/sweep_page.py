@@ -213,10 +213,19 @@ class SweepPage:
         if not metrics:
             return ""
         quantities: list[Quantity] = [(m.title, m.unit, partial(_value, key=m.key)) for m in metrics]
-        return self._dot_chart(f"dots-{index}", runs, quantities)
+        sign = -1 if metrics[0].higher_is_better else 1
 
-    def _dot_chart(self, name: str, runs: Sequence[Run], quantities: Sequence[Quantity]) -> str:
-        groups = self._ordered()
+        def standing(group: Group) -> float:
+            mean = Spread.of(_value(r, metrics[0].key) for r in group.runs if r in runs).mean
+            return math.inf if math.isnan(mean) else sign * mean
+
+        groups = sorted(self.sweep.groups, key=standing)
+        return self._dot_chart(f"dots-{index}", groups, runs, quantities)
+
+    def _dot_chart(
+        self, name: str, groups: Sequence[Group], runs: Sequence[Run], quantities: Sequence[Quantity]
+    ) -> str:
+        groups = [g for g in groups if any(r in runs for r in g.runs)]
         members = [[r for r in g.runs if r in runs] for g in groups]
         panels = [DotPanel(t, u, [[value(r) for r in m] for m in members]) for t, u, value in quantities]
         chart = dots([_short(g.label) for g in groups], [[r.name for r in m] for m in members], panels)
@@ -310,7 +319,9 @@ class SweepPage:
             title, _, unit = name.rstrip("]").partition(" [")
             return title, unit, lambda run: run.parameters.get(name, math.nan)
 
-        return self._dot_chart("parameters", self.sweep.runs, [quantity(name) for name in names])
+        return self._dot_chart(
+            "parameters", self._ordered(), self.sweep.runs, [quantity(name) for name in names]
+        )
 
     def _unfinished(self) -> str:
         rows = [
