@@ -102,6 +102,17 @@ ablations: setup $(GENERATED:%=$(ABLATION_SCENES)/%/scene.json) ## Fit with one 
 	$(BIN)/toile tables outputs/ablations/$(RECIPE) name=ablations_$(RECIPE) output=docs/results \
 		note="'Made by \`make ablations RECIPE=$(RECIPE)\`.'"; exit $$status
 
+# Blind check of the diagnosis: BLIND=tiny, standard or full. A new set every time: BLIND_NAME is its folder.
+BLIND ?= standard
+BLIND_NAME ?= $(BLIND)
+BLIND_SET = blind=$(BLIND) name=$(BLIND_NAME) jobs=$(JOBS)
+
+.PHONY: blind
+blind: setup ## Make scenes with sealed labels, diagnose them, open the labels: the table of measures; resumes
+	$(BIN)/toile blind make $(BLIND_SET)
+	$(BIN)/toile blind run $(BLIND_SET)
+	$(BIN)/toile blind grade $(BLIND_SET)
+
 .PHONY: templates
 templates: setup ## Find the published templates again from meshes and points (needs the recordings in TOILE_DATA)
 	$(BIN)/python benchmarks/templates.py

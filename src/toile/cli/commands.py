@@ -51,6 +51,12 @@ COMMANDS = {
         "make the template of your own video from a mesh, points or a flat sheet",
         "scene=<folder> surface=points surface.file=<file> camera.file=<file>",
     ),
+    "blind": Command(
+        "toile.cli.blind",
+        "check the diagnosis on scenes whose labels it cannot read",
+        "make | run | grade blind=tiny",
+        plain="action",
+    ),
     "doctor": Command("toile.cli.doctor", "look for what is wrong with a scene", "scene=R1"),
 }
 

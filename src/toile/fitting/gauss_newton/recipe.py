@@ -160,7 +160,7 @@ class TrackingRecipe(Recipe):
         unknowns = WindowUnknowns(reconstruction, stage.priors, self._start_stiffness, first, last)
         visibility = None
         if stage.visibility and isinstance(self._term, TexturePointTerm):
-            visibility = partial(_visible, reconstruction, self._term.points)
+            visibility = partial(visible, reconstruction, self._term.points)
         result = minimise_window(
             reconstruction,
             unknowns,
@@ -279,7 +279,7 @@ _JITTER = 1.0
 _VISIBILITY_TOLERANCE = 4e-3
 
 
-def _visible(reconstruction: Reconstruction, points: TexturePoints, positions: Array) -> NDArray[np.float32]:
+def visible(reconstruction: Reconstruction, points: TexturePoints, positions: Array) -> NDArray[np.float32]:
     """Visible points (n, P) as 0 or 1 for frame positions (n, N, 3)."""
     x = torch.from_numpy(positions)
     camera = reconstruction.scene.camera

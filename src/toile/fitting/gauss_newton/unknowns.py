@@ -68,7 +68,7 @@ class WindowUnknowns:
         self._interior_mass = units.mass
         self._stiffness_units = np.array([units.stretching, units.energy, units.energy])
         gravity = reconstruction.gravity.numpy()
-        self._horizontal = _horizontal_basis(gravity)
+        self._horizontal = horizontal_basis(gravity)
         self._gravity = gravity
         self._field = (
             None
@@ -197,7 +197,7 @@ class WindowUnknowns:
             p.wind.copy_(torch.from_numpy(self.wind(z)))
 
 
-def _horizontal_basis(gravity: Array) -> Array:
+def horizontal_basis(gravity: Array) -> Array:
     """Two unit vectors orthogonal to gravity, (2, 3)."""
     down = gravity / np.linalg.norm(gravity)
     # The camera's x and z axes, made orthogonal to gravity: signs stay readable for upright cameras.

@@ -63,14 +63,19 @@ class Assembly:
         place[self.held] = -1 - np.arange(len(self.held))
         self.free = np.repeat((place >= 0).astype(np.float64), 3).reshape(self.n, 3)
         weights = weights or (np.ones(len(index[0])), np.ones(len(index[1])), np.ones(len(index[2])))
+        # The kernels read these four whenever they run.
+        self._rest_lengths = np.array(rest_lengths, np.float64)
+        self._edge_weights = np.array(weights[0], np.float64)
+        self._rest_angles = np.concatenate((rest_corner_angles, np.zeros(len(index[2]))))
+        self._angle_weights = np.concatenate(weights[1:])
         elements = [
             view(index[0].astype(np.int32, order="C"), wp.int32),
-            view(np.array(rest_lengths, np.float64), wp.float64),
-            view(np.array(weights[0], np.float64), wp.float64),
+            view(self._rest_lengths, wp.float64),
+            view(self._edge_weights, wp.float64),
             view(np.concatenate(index[1:]).astype(np.int32, order="C"), wp.int32),
             len(index[1]),
-            view(np.concatenate((rest_corner_angles, np.zeros(len(index[2])))), wp.float64),
-            view(np.concatenate(weights[1:]), wp.float64),
+            view(self._rest_angles, wp.float64),
+            view(self._angle_weights, wp.float64),
         ]
         # Launches are recorded once, with arguments of their own: to pack those anew takes longer than to
         # compute. What a caller gets is always a copy.
@@ -103,6 +108,19 @@ class Assembly:
             device="cpu",
             record_cmd=True,
         )
+
+    def set_elements(
+        self,
+        weights: tuple[Array, Array, Array],
+        rest_lengths: Array,
+        rest_corner_angles: Array,
+        rest_straight_angles: Array,
+    ) -> None:
+        """Replace factors on Y, S, B (E,), (C,), (S,), and rest shape (E,) [m], (C,) and (S,) [rad]."""
+        self._edge_weights[:] = weights[0]
+        self._angle_weights[:] = np.concatenate(weights[1:])
+        self._rest_lengths[:] = rest_lengths
+        self._rest_angles[:] = np.concatenate((rest_corner_angles, rest_straight_angles))
 
     def energies(self, x: Array) -> Array:
         """Unit-stiffness energies (3,) of stretching, shearing and bending at positions x (N, 3)."""
@@ -140,6 +158,14 @@ class Assembly:
         values = (diagonal[:, None] * self.free).reshape(-1)
         band[self._to_band, 0] += values
         band[self._held_band_dofs, 0] = 1.0
+
+    def add_blocks(self, band: Array, blocks: Array) -> None:
+        """Add symmetric blocks (N, 3, 3), ∂²/∂x_i², to the free rows of the band."""
+        blocks = blocks * self.free[:, :, None]
+        first = 3 * self.position
+        for column in range(3):
+            for row in range(column, 3):
+                band[first + column, row - column] += blocks[:, row, column]
 
     def to_band(self, x: Array) -> Array:
         """Reorder (..., N, 3) to the band's unknowns (..., 3N)."""

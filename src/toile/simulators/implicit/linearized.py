@@ -6,7 +6,7 @@ One object serves Gauss-Newton, confidence intervals and sensitivities: after a 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,8 @@ class Perturbation:
         anchors: (F, n_held, 3) [m].
         positions: initial positions (N, 3) [m].
         velocities: initial velocities (N, 3) [m/s].
+        values: numbers inside the step terms, one term after the other, those that require gradients;
+            none is no change.
     """
 
     forces: Array
@@ -38,6 +40,7 @@ class Perturbation:
     anchors: Array
     positions: Array
     velocities: Array
+    values: Array = field(default_factory=lambda: np.zeros(0))
 
 
 class LinearizedRollout:
@@ -62,6 +65,10 @@ class LinearizedRollout:
         self.n_vertices = simulator.cloth.n_vertices
         self._coefficients = [
             simulator.integrator.formula(first + step).prediction for step in range(len(self.steps))
+        ]
+        # The first step's velocity is the initial one; each later one is made of the positions before.
+        self._velocities = [
+            simulator.integrator.formula(first + step).velocity for step in range(len(self.steps) - 1)
         ]
         self._h = simulator.time_step
 
@@ -92,6 +99,18 @@ class LinearizedRollout:
                 fraction = sub / self.substeps
                 anchor = (1 - fraction) * change.anchors[frame] + fraction * change.anchors[frame + 1]
                 right -= (anchor.reshape(-1) @ step.coupling).reshape(-1, 3)
+            if step.memory is not None:
+                velocity = change.velocities * free
+                if n > 0:
+                    weights = np.array(self._velocities[n - 1]) / self._h
+                    velocity = np.tensordot(weights, np.stack(history[: len(weights)]), 1)
+                right += step.memory.tangent(
+                    history[0],
+                    velocity,
+                    anchor if moving else np.zeros((len(held), 3)),
+                    change.stiffness,
+                    change.values,
+                )
             x = assembly.from_band(step.factor.solve(assembly.to_band(right * free)))
             x[held] = anchor if moving else 0.0
             history = [x, *history[:-1]]
@@ -109,6 +128,7 @@ class LinearizedRollout:
             np.zeros((self.n_frames, len(held), 3)),
             np.zeros((n, 3)),
             np.zeros((n, 3)),
+            np.zeros(0 if self.steps[0].memory is None else self.steps[0].memory.n_values),
         )
         # pending[i]: gradient with respect to the position i + 1 steps before the one about to be treated.
         pending = [np.zeros((n, 3)) for _ in range(k)]
@@ -122,11 +142,22 @@ class LinearizedRollout:
             to.forces[frame] += adjoint
             to.stiffness -= (step.unit_gradients * adjoint).sum((1, 2))
             anchor = g[held] - (step.coupling @ adjoint.reshape(-1)).reshape(-1, 3)
+            pending.append(np.zeros((n, 3)))
+            if step.memory is not None:
+                to_now, to_velocity, to_anchor, to_stiffness, to_values = step.memory.adjoint(adjoint)
+                pending[0] = pending[0] + to_now
+                anchor = anchor + to_anchor
+                to.stiffness += to_stiffness
+                to.values += to_values
+                if index > 0:
+                    for i, d in enumerate(self._velocities[index - 1]):
+                        pending[i] = pending[i] + d / self._h * to_velocity
+                else:
+                    to.velocities += to_velocity * free
             fraction = sub / self.substeps
             to.anchors[frame] += (1 - fraction) * anchor
             to.anchors[frame + 1] += fraction * anchor
             to_prediction = step.inertia[:, None] * adjoint
-            pending.append(np.zeros((n, 3)))
             for i, c in enumerate(self._coefficients[index]):
                 pending[i] = pending[i] + c * to_prediction
         pending[0] = pending[0] + gradient[0]

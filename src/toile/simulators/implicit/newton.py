@@ -1,6 +1,6 @@
 """One implicit step as minimisation of the incremental potential, by Newton's method.
 
-    Φ(x) = ½ ‖x - x̂‖²_M / (β h)² + E(x) - <f, x>
+    Φ(x) = ½ ‖x - x̂‖²_M / (β h)² + E(x) - <f, x> + Σ_i U_i(x_i)
 
 | symbol | meaning | shape, unit |
 |---|---|---|
@@ -9,6 +9,7 @@
 | β h | effective step | s |
 | E | internal energy Y e_Y + S e_S + B e_B | J |
 | f | external force | (N, 3) N |
+| U | potentials of single vertices, if any | (N,) J |
 
 The exact Hessian gives quadratic convergence, and its factor serves further steps as long as each of them
 halves the residual: such a step costs a tenth of a factorisation. Where the exact Hessian is not positive
@@ -29,6 +30,7 @@ from numpy.typing import NDArray
 from toile.simulators.base import StepStatus
 from toile.simulators.implicit.assembly import Assembly
 from toile.simulators.implicit.banded import BandedCholesky
+from toile.simulators.implicit.terms import TermMemory, VertexPotential
 
 Array = NDArray[np.float64]
 
@@ -73,6 +75,7 @@ class Linearization:
         inertia: (N,) masses / (β h)².
         exact: whether the Hessian is the exact one at the solution. If not, the derivatives are approximate:
             the solution is a saddle, or the factor was made on the way to it.
+        memory: how the step terms depend on the past, if there are any.
     """
 
     factor: BandedCholesky
@@ -80,6 +83,7 @@ class Linearization:
     unit_gradients: Array
     inertia: Array
     exact: bool = True
+    memory: TermMemory | None = None
 
 
 @dataclass(frozen=True)
@@ -106,6 +110,7 @@ def minimise_incremental_potential(
     *,
     linearize: bool,
     fresh_linearization: bool = True,
+    extra: VertexPotential | None = None,
 ) -> StepSolution:
     """Minimise Φ over the free vertices.
 
@@ -122,6 +127,7 @@ def minimise_incremental_potential(
         linearize: also return the derivatives at the solution.
         fresh_linearization: with a Hessian of their own. If not, that of the last iteration serves once more
             where it is the exact one; it was made where the iteration began.
+        extra: U; none if None.
     """
     free = assembly.free
     # No force is known better than the rounding of the inertial one; a tolerance below is out of reach.
@@ -130,12 +136,15 @@ def minimise_incremental_potential(
 
     def residual_of(unit_gradients: Array, at: Array) -> Array:
         internal = np.tensordot(stiffness, unit_gradients, 1)
+        if extra is not None:
+            internal = internal + extra.gradient(at)
         return (inertia[:, None] * (at - prediction) + internal - forces) * free
 
     def potential(at: Array) -> float:
         away = at - prediction
         kinetic = 0.5 * float((inertia[:, None] * away * away * free).sum())
-        return kinetic + float(stiffness @ assembly.energies(at)) - float((forces * at * free).sum())
+        total = kinetic + float(stiffness @ assembly.energies(at)) - float((forces * at * free).sum())
+        return total if extra is None else total + float(extra.energy(at) @ free[:, 0])
 
     def rounding(before: float, after: float) -> bool:
         """Whether a difference of Φ drowns in rounding, as it does close to the minimum."""
@@ -163,7 +172,7 @@ def minimise_incremental_potential(
             status = StepStatus.MAX_ITERATIONS
             break
         iteration += 1
-        factor, coupling, level = _regularised_factor(assembly, x, stiffness, inertia, level)
+        factor, coupling, level = _regularised_factor(assembly, x, stiffness, inertia, level, extra)
         if factor is None:
             status = StepStatus.LINE_SEARCH_FAILED
             break
@@ -206,26 +215,31 @@ def minimise_incremental_potential(
     if linearize and not fresh_linearization and factor is not None and coupling is not None:
         linearization = Linearization(factor, coupling, unit_gradients, inertia, exact=False)
     elif linearize:
-        linearization = linearise(assembly, x, unit_gradients, stiffness, inertia)
+        linearization = linearise(assembly, x, unit_gradients, stiffness, inertia, extra)
     return StepSolution(x, status, iteration, float(np.abs(residual).max(initial=0.0)), linearization)
 
 
 def _regularised_factor(
-    assembly: Assembly, x: Array, stiffness: Array, inertia: Array, level: int
+    assembly: Assembly,
+    x: Array,
+    stiffness: Array,
+    inertia: Array,
+    level: int,
+    extra: VertexPotential | None,
 ) -> tuple[BandedCholesky | None, Array | None, int]:
     """Factor of the Hessian of Φ at the first level of regularisation, from ``level`` on, that allows one.
 
     The coupling to the held vertices comes with it where the level is 0: the exact Hessian.
     """
-    _, exact, coupling = assembly.hessian(x, stiffness, convex=False)
+    exact, coupling = _potential_hessian(assembly, x, stiffness, extra, convex=False)
     if level == 0:
         assembly.add_diagonal(exact, inertia)
         factor = BandedCholesky.factorise(exact)
         if factor is not None:
             return factor, coupling, 0
-        _, exact, _ = assembly.hessian(x, stiffness, convex=False)
+        exact, _ = _potential_hessian(assembly, x, stiffness, extra, convex=False)
         level = 1
-    _, added, _ = assembly.hessian(x, stiffness, convex=True)
+    added, _ = _potential_hessian(assembly, x, stiffness, extra, convex=True)
     added -= exact
     band = np.empty_like(exact)
     while level <= _MAX_LEVEL:
@@ -242,8 +256,23 @@ def _regularised_factor(
     return None, None, level
 
 
+def _potential_hessian(
+    assembly: Assembly, x: Array, stiffness: Array, extra: VertexPotential | None, *, convex: bool
+) -> tuple[Array, Array]:
+    """Band and coupling of E + Σ U, see Assembly.hessian."""
+    _, band, coupling = assembly.hessian(x, stiffness, convex=convex)
+    if extra is not None:
+        assembly.add_blocks(band, extra.blocks(x, convex=convex))
+    return band, coupling
+
+
 def linearise(
-    assembly: Assembly, x: Array, unit_gradients: Array, stiffness: Array, inertia: Array
+    assembly: Assembly,
+    x: Array,
+    unit_gradients: Array,
+    stiffness: Array,
+    inertia: Array,
+    extra: VertexPotential | None = None,
 ) -> Linearization:
     """Derivatives at x with the exact Hessian.
 
@@ -254,7 +283,7 @@ def linearise(
         FloatingPointError: not even the projected Hessian is positive definite.
     """
     for exact in (True, False):
-        _, band, coupling = assembly.hessian(x, stiffness, convex=not exact)
+        band, coupling = _potential_hessian(assembly, x, stiffness, extra, convex=not exact)
         assembly.add_diagonal(band, inertia)
         factor = BandedCholesky.factorise(band)
         if factor is not None:

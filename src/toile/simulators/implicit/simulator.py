@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -16,7 +18,9 @@ from toile.simulators.implicit.newton import (
     StepSolution,
     minimise_incremental_potential,
 )
+from toile.simulators.implicit.terms import SceneTerms
 from toile.simulators.linearizable import LinearizableSimulator, extrapolations
+from toile.simulators.step_terms import StepTerm
 
 Array = NDArray[np.float64]
 
@@ -28,15 +32,21 @@ class ImplicitSimulator(LinearizableSimulator):
 
     Args:
         cloth: elements, rest shape, masses and held vertices.
-        time_step: h [s].
+        time_step: h [s]; see LinearizableSimulator.
         integrator: see integrators.
         newton: see NewtonSettings.
+        terms: what acts within the step besides, see StepTerm.
     """
 
     def __init__(
-        self, cloth: Cloth, time_step: float, integrator: Integrator, newton: NewtonSettings
+        self,
+        cloth: Cloth,
+        time_step: float | Tensor,
+        integrator: Integrator,
+        newton: NewtonSettings,
+        terms: Sequence[StepTerm] = (),
     ) -> None:
-        super().__init__(cloth, time_step, integrator)
+        super().__init__(cloth, time_step, integrator, terms)
         self.newton = newton
 
     def _starts(
@@ -56,17 +66,23 @@ class ImplicitSimulator(LinearizableSimulator):
         forces: Array,
         stiffness: Array,
         inertia: Array,
+        terms: Sequence[SceneTerms],
         *,
         linearize: bool,
     ) -> list[StepSolution]:
-        return [
-            minimise_incremental_potential(
-                self.assembly,
-                *scene,
-                inertia,
-                self.force_scale,
-                self.newton,
-                linearize=linearize,
+        solutions = []
+        arguments = zip(starts, prediction, anchors, forces, stiffness, strict=True)
+        for scene, term in zip(arguments, terms, strict=True):
+            term.prepare(self.assembly)
+            solutions.append(
+                minimise_incremental_potential(
+                    self.assembly,
+                    *scene,
+                    inertia,
+                    self.force_scale,
+                    self.newton,
+                    linearize=linearize,
+                    extra=term.vertices,
+                )
             )
-            for scene in zip(starts, prediction, anchors, forces, stiffness, strict=True)
-        ]
+        return solutions

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +14,13 @@ from toile.cloth.cloth import Cloth, cell_shares
 from toile.cloth.material import Material
 from toile.cloth.state import State
 from toile.cloth.units import NetworkUnits
+from toile.errors import InputError
 from toile.simulators.base import StepStatus
 from toile.simulators.implicit.integrators import Integrator
 from toile.simulators.implicit.newton import Linearization, StepSolution, linearise
+from toile.simulators.implicit.terms import SceneTerms
 from toile.simulators.linearizable import LinearizableSimulator, extrapolations
+from toile.simulators.step_terms import StepTerm
 from toile.simulators.surrogate.problem import StepProblem
 from toile.simulators.surrogate.weights import load_weights
 
@@ -39,21 +43,30 @@ class SurrogateSimulator(LinearizableSimulator):
         passes: passes of the network per step; 0 leaves the line relaxation alone.
         sweeps: relaxations of the warp and weft lines after each pass.
         weights: file written by ``toile train``; those of the package if None.
+        terms: must be empty: the network knows the plain step only.
 
     Raises:
         ValueError: the cloth is not one the network knows.
-        InputError: the weights cannot be used.
+        InputError: the weights cannot be used, or there are step terms.
     """
 
     def __init__(
         self,
         cloth: Cloth,
-        time_step: float,
+        time_step: float | Tensor,
         integrator: Integrator,
         passes: int,
         sweeps: int = 2,
         weights: str | Path | None = None,
+        terms: Sequence[StepTerm] = (),
     ) -> None:
+        if terms:
+            raise InputError(
+                "the surrogate cannot take effects that act within a step",
+                where="simulator=surrogate",
+                expected="simulator=implicit or simulator=hybrid",
+                got=", ".join(type(term).__name__ for term in terms),
+            )
         super().__init__(cloth, time_step, integrator)
         if passes < 0:
             raise ValueError(f"passes: expected 0 or more, got {passes}")
@@ -65,8 +78,9 @@ class SurrogateSimulator(LinearizableSimulator):
         self._grid = _checked_grid(cloth)
         height, width = self._grid
         self._length = float(cloth.rest_lengths.mean())
-        self._mass = float(cloth.masses.max())
-        self._masses = (cloth.masses / self._mass).reshape(height, width).float()
+        masses = cloth.masses.detach()
+        self._mass = float(masses.max())
+        self._grid_masses = (masses / self._mass).reshape(height, width).float()
         rest = (cloth.rest_lengths / self._length).float()
         self._rest_i = rest[: (height - 1) * width].reshape(height - 1, width)
         self._rest_j = rest[(height - 1) * width :].reshape(height, width - 1)
@@ -92,6 +106,7 @@ class SurrogateSimulator(LinearizableSimulator):
         forces: Array,
         stiffness: Array,
         inertia: Array,
+        terms: Sequence[SceneTerms],
         *,
         linearize: bool,
     ) -> list[StepSolution]:
@@ -134,7 +149,7 @@ class SurrogateSimulator(LinearizableSimulator):
             starts=grid((candidates - origin[:, None]) / self._length),
             forces=grid(forces / units.force).float(),
             stiffness=torch.from_numpy(stiffness / scale).float(),
-            masses=self._masses,
+            masses=self._grid_masses,
             free=self._free.expand(batch, -1, -1),
             rest_lengths_i=self._rest_i.expand(batch, -1, -1),
             rest_lengths_j=self._rest_j.expand(batch, -1, -1),
@@ -162,7 +177,8 @@ def _checked_grid(cloth: Cloth) -> tuple[int, int]:
         )
     if not bool(torch.allclose(cloth.rest_corner_angles, torch.tensor(torch.pi / 2).double())):
         raise ValueError("cloth: the surrogate expects right angles between warp and weft at rest")
-    uniform = cloth.masses.max() * cell_shares(*cloth.grid).reshape(-1)
-    if not bool(torch.allclose(cloth.masses, uniform, rtol=1e-3)):
+    masses = cloth.masses.detach()
+    uniform = masses.max() * cell_shares(*cloth.grid).reshape(-1)
+    if not bool(torch.allclose(masses, uniform, rtol=1e-3)):
         raise ValueError("cloth: the surrogate expects a uniform areal density")
     return cloth.grid

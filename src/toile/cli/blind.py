@@ -1,0 +1,284 @@
+"""``toile blind make | run | grade``: a diagnosis checked on scenes whose labels it cannot read."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import logging
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig, OmegaConf
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from toile import __version__
+from toile.atomic_file import write_text
+from toile.cli.configuration import instantiate
+from toile.cli.failures import CommandError
+from toile.cli.terminal import print_path
+from toile.errors import InputError
+from toile.evaluation.blind_grading import grade_set, write_grade
+from toile.evaluation.blind_run import Predictions, run_blind, write_predictions
+from toile.evaluation.blind_sealing import BlindSet, Sealed, SealKey
+from toile.generation.reality.base_scene import RealitySettings
+from toile.generation.reality.blind_set import (
+    Composition,
+    PlannedScene,
+    full_composition,
+    plan,
+    standard_composition,
+    tiny_composition,
+    write_opaque,
+)
+from toile.generation.reality.from_blender import can_make, make_with_blender, why_no_blender
+from toile.generation.reality.making import SceneRequest, make_scene
+from toile.scenes.registry import available_scenes
+
+_COMPOSITIONS: dict[str, Callable[[], Composition]] = {
+    "tiny": tiny_composition,
+    "standard": standard_composition,
+    "full": full_composition,
+}
+
+_log = logging.getLogger(__name__)
+
+
+def run(cfg: DictConfig) -> None:
+    """Carry out one of the three actions, each in a process of its own."""
+    actions = {"make": _make, "run": _run, "grade": _grade}
+    action = str(cfg.action)
+    if action not in actions:
+        raise InputError("No such action", where="toile blind", expected=", ".join(actions), got=action)
+    blind = BlindSet(Path(cfg.folder))
+    key = Path(cfg.key).resolve()
+    if key.is_relative_to(blind.folder.resolve().parent):
+        raise InputError(
+            "The key would lie within reach of the diagnosis",
+            where="key",
+            expected=f"a file outside {blind.folder.parent}",
+            got=str(cfg.key),
+        )
+    actions[action](cfg, blind)
+
+
+def make_one(
+    planned: PlannedScene, setup: RealitySettings, blind: BlindSet, key: SealKey, *, small: bool
+) -> str:
+    """Make one scene and seal its label; nothing happens if both are there. Returns its name."""
+    if blind.is_made(planned.name):
+        return planned.name
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    if planned.generator == "blender":
+        made = make_with_blender(planned, small=small)
+    else:
+        made = make_scene(setup, SceneRequest(planned.name, planned.effects, planned.seed))
+    sealed = Sealed(made.label, made.vertices.float().numpy(), made.twin.float().numpy())
+    # The label first: a scene without label would be made again under other random numbers of its nonce.
+    blind.seal(key, planned.name, sealed)
+    if not (blind.scenes / planned.name).exists():
+        write_opaque(made.scene, blind.scenes / planned.name)
+    return planned.name
+
+
+def _make(cfg: DictConfig, blind: BlindSet) -> None:
+    key = _key_of(cfg, blind)
+    setup, notes = _reality(cfg)
+    composition = _COMPOSITIONS.get(str(cfg.composition))
+    if composition is None:
+        raise InputError(
+            "No such composition", where="composition", expected=", ".join(_COMPOSITIONS), got=cfg.composition
+        )
+    scenes, more = _with_blender_where_possible(plan(composition(), key.derive), wanted=cfg.blender)
+    notes += more
+    names = tuple(scene.name for scene in scenes)
+    _describe(cfg, blind, key, names, notes)
+    small = min(setup.grid) < 16
+    todo = [s for s in _part(cfg, scenes) if not blind.is_made(s.name)]
+    with _progress("make", len(todo)) as advance:
+        tasks = [partial(make_one, scene, setup, blind, key, small=small) for scene in todo]
+        for name in _parallel(tasks, int(cfg.jobs)):
+            advance(str(name), None)
+    if all(blind.is_made(name) for name in names):
+        blind.commit(key, names)
+        print_path(blind.folder, f": {len(names)} scenes; key: {cfg.key}")
+        for note in notes:
+            print_path(note)
+    else:
+        left = sum(not blind.is_made(name) for name in names)
+        print_path(blind.folder, f": {left} of {len(names)} scenes are left to other parts")
+
+
+def _run(cfg: DictConfig, blind: BlindSet) -> None:
+    predictions = Predictions(Path(cfg.predictions))
+    names = tuple(sorted(blind.names()))
+    part = _part(cfg, names)
+    settings = instantiate(cfg.settings)
+    with _progress("run", len(part)) as advance:
+        left = run_blind(
+            blind,
+            predictions,
+            _function(str(cfg.diagnose)),
+            settings,
+            jobs=int(cfg.jobs),
+            only=tuple(part),
+            report=lambda name, done, total, failure: advance(name, failure),
+        )
+    for name in left:
+        first = predictions.failure(name).read_text().strip().rpartition("\n")[2]
+        print_path(f"{name}: {first}")
+    if left and not cfg.incomplete:
+        raise CommandError(3)
+    unanswered = [n for n in names if not predictions.diagnosis(n).is_file()]
+    if unanswered and not cfg.incomplete:
+        print_path(predictions.folder, f": {len(unanswered)} scenes are left to other parts")
+        return
+    digest = write_predictions(blind, predictions, incomplete=bool(cfg.incomplete))
+    print_path(predictions.list, f": sha256 {digest}")
+
+
+def _grade(cfg: DictConfig, blind: BlindSet) -> None:
+    predictions = Predictions(Path(cfg.predictions))
+    key = SealKey.read(Path(cfg.key))
+    grade = grade_set(blind, predictions, key, alias=float(cfg.alias), resamplings=int(cfg.bootstrap), seed=0)
+    for path in write_grade(grade, predictions.grade):
+        print_path(path)
+
+
+def _key_of(cfg: DictConfig, blind: BlindSet) -> SealKey:
+    """The set's key: the one there is, else a fresh one or that of the seed."""
+    path = Path(cfg.key)
+    key = SealKey.read(path) if path.is_file() else None
+    if key is None:
+        if blind.description.is_file():
+            raise InputError(
+                "The set exists, but its key does not",
+                where=str(path),
+                expected="the key that the set was begun with, or another folder=...",
+                got="no file",
+            )
+        key = SealKey.fresh() if cfg.seed is None else SealKey.of_seed(int(cfg.seed))
+        key.write(path)
+    if blind.description.is_file() and blind.read_description()["key"] != key.fingerprint:
+        raise InputError(
+            "The key is not the set's", where=str(path), expected="the set's key", got="another key"
+        )
+    return key
+
+
+def _reality(cfg: DictConfig) -> tuple[RealitySettings, list[str]]:
+    """Settings of the reality with the templates that are there, and notes on those that are not."""
+    values: Any = OmegaConf.to_container(cfg.reality, resolve=True)
+    values = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+    try:
+        setup = RealitySettings(**values, data=str(cfg.paths.data))
+    except TypeError as error:
+        raise InputError(
+            "Unknown setting", where="reality", expected="settings of RealitySettings", got=str(error)
+        ) from error
+    known = set(available_scenes(cfg.paths.data)) if setup.templates else set()
+    there = tuple(name for name in setup.templates if name in known)
+    notes = []
+    if len(there) < len(setup.templates):
+        absent = ", ".join(sorted(set(setup.templates) - set(there)))
+        notes.append(f"templates that are not in the data folder were left out: {absent}")
+    return replace(setup, templates=there), notes
+
+
+def _with_blender_where_possible(
+    scenes: tuple[PlannedScene, ...], *, wanted: bool
+) -> tuple[tuple[PlannedScene, ...], list[str]]:
+    """Scenes with Blender's share made by the package's own reality where Blender is not there."""
+    planned = [s for s in scenes if s.generator == "blender"]
+    reason = "it was not wanted (blender=false)" if not wanted else why_no_blender() if planned else ""
+    unable = {s.name for s in planned if reason or not can_make(s)}
+    notes = []
+    if unable:
+        notes.append(
+            f"{len(unable)} scenes meant for Blender come from the package's own reality: "
+            + (reason or "Blender does not offer their effects")
+        )
+    changed = tuple(replace(s, generator="reality") if s.name in unable else s for s in scenes)
+    return changed, notes
+
+
+def _describe(
+    cfg: DictConfig, blind: BlindSet, key: SealKey, names: tuple[str, ...], notes: list[str]
+) -> None:
+    """Write set.json, or check that the one there belongs to the same set."""
+    # Notes on the generators are public, which scene has which label is not.
+    values = {
+        "name": str(cfg.name),
+        "version": __version__,
+        "composition": str(cfg.composition),
+        "reality": OmegaConf.to_container(cfg.reality, resolve=True),
+        "blind": cfg.seed is None,
+        "key": key.fingerprint,
+        "notes": notes,
+        "scenes": list(names),
+    }
+    if blind.description.is_file():
+        before = blind.read_description()
+        if before["scenes"] != list(names) or before["reality"] != values["reality"]:
+            raise InputError(
+                "The folder holds another set",
+                where=str(blind.folder),
+                expected="the same composition and settings, or another folder=...",
+                got=f"{before['composition']}, {len(before['scenes'])} scenes",
+            )
+        return
+    write_text(blind.description, json.dumps(values, indent=1) + "\n")
+
+
+def _part(cfg: DictConfig, items: tuple[Any, ...]) -> list[Any]:
+    """Every ``parts``-th item from ``part`` on."""
+    if not 0 <= cfg.part < cfg.parts:
+        raise InputError("No such part", where="part", expected=f"0 to {cfg.parts - 1}", got=str(cfg.part))
+    return list(items[cfg.part :: cfg.parts])
+
+
+def _parallel(tasks: Sequence[Callable[[], str]], jobs: int) -> Iterable[str]:
+    """Results of tasks as they come, several processes at a time."""
+    if jobs == 1 or len(tasks) <= 1:
+        return (task() for task in tasks)
+    from joblib import Parallel, delayed
+
+    results: Iterable[str] = Parallel(n_jobs=jobs, return_as="generator_unordered")(
+        delayed(task)() for task in tasks
+    )
+    return results
+
+
+def _function(path: str) -> Callable[..., None]:
+    """A function by its dotted path."""
+    module, _, name = path.rpartition(".")
+    try:
+        function: Callable[..., None] = getattr(importlib.import_module(module), name)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise InputError(
+            "No such diagnosis", where="diagnose", expected="package.module.function", got=str(error)
+        ) from error
+    return function
+
+
+@contextmanager
+def _progress(title: str, total: int) -> Iterator[Callable[[str, str | None], None]]:
+    """A bar on a terminal, one line per scene elsewhere."""
+    console = Console(stderr=True)
+    columns = (TextColumn(title), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
+        task = bar.add_task(title, total=total)
+
+        def advance(name: str, failure: str | None) -> None:
+            bar.advance(task)
+            if failure is not None:
+                _log.warning("%s: %s", name, failure)
+            elif not console.is_terminal:
+                _log.info("%s: done", name)
+
+        yield advance

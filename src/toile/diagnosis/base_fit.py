@@ -1,0 +1,231 @@
+"""Fit of the base model: stiffness and wind for the whole clip, starts, anchors and smooth forces by window."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+
+from toile.cloth.state import State
+from toile.diagnosis.sensitivities import StepForces
+from toile.diagnosis.shooting import Base, Shooting, WindowMotion
+
+Array = NDArray[np.float64]
+
+N_BASE = 5
+"""Shared unknowns of the base: log Y, log S, log B, wind along two directions."""
+
+
+@dataclass(frozen=True)
+class BaseFit:
+    """The base model at its best.
+
+    Attributes:
+        windows: simulated.
+        start_stiffness: (3,) that the logarithms refer to.
+        values: (5,) log ratios of Y, S, B and wind.
+        covariance: (5, 5) of the values.
+        cost: negative log-posterior.
+        history: cost after every pass.
+    """
+
+    windows: list[WindowMotion]
+    start_stiffness: Array
+    values: Array
+    covariance: Array
+    cost: float
+    history: tuple[float, ...]
+
+    @property
+    def base(self) -> Base:
+        """Stiffness and wind."""
+        return base_of(self.start_stiffness, self.values)
+
+
+def base_of(start: Array, values: Array) -> Base:
+    """Stiffness and wind from log ratios and wind components (5,)."""
+    return Base(start * np.exp(values[:3]), values[3:5].copy())
+
+
+def base_deviations(shooting: Shooting) -> Array:
+    """Prior standard deviations (5,)."""
+    s = shooting.settings
+    return np.array([s.stiffness] * 3 + [s.wind] * 2)
+
+
+def base_columns(shooting: Shooting, base: Base) -> Callable[[StepForces], Array]:
+    """Force columns (5, N, 3) of the base's values."""
+    wind = np.stack([shooting.masses[:, None] * axis for axis in shooting.horizontal])
+
+    def columns(step: StepForces) -> Array:
+        return np.concatenate((-base.stiffness[:, None, None] * step.unit_gradients, wind))
+
+    return columns
+
+
+def nothing_seen(frame: int, positions: Array) -> Array:
+    """No apparent displacement."""
+    return np.zeros((0, *positions.shape))
+
+
+def window_bounds(n_frames: int, window: int) -> list[tuple[int, int]]:
+    """(first, last) frames of windows that share their ends; a short rest joins the one before."""
+    bounds = [(a, min(a + window, n_frames - 1)) for a in range(0, n_frames - 1, window)]
+    if len(bounds) > 1 and bounds[-1][1] - bounds[-1][0] < window // 2:
+        bounds[-2:] = [(bounds[-2][0], bounds[-1][1])]
+    return bounds
+
+
+def local_scales(shooting: Shooting, n: int) -> Array:
+    """What turns the local columns of Shooting.normal into white ones (n_local,)."""
+    forces = shooting.layout(n)[1]
+    total = shooting.layout(n)[2]
+    return np.where(np.arange(total) >= forces, shooting.settings.force, 1.0)
+
+
+def fit_base(
+    shooting: Shooting,
+    start_positions: Array,
+    stiffness: Array,
+    n_frames: int,
+    report: Callable[[str, float], None],
+) -> BaseFit:
+    """Window by window for a first motion, then all of them with stiffness and wind.
+
+    Args:
+        shooting: see Shooting.
+        start_positions: frame 0 (N, 3) [m], at rest.
+        stiffness: start values (3,) Y [N/m], S, B [N·m].
+        n_frames: frames used.
+        report: called with a message and the cost.
+    """
+    values = np.zeros(N_BASE)
+    deviation = base_deviations(shooting)
+    windows: list[WindowMotion] = []
+    for sweep in range(shooting.settings.sweeps):
+        windows, values = _sweep(shooting, start_positions, stiffness, values, windows, n_frames, report)
+    cost = sum(shooting.cost(w) for w in windows)
+    history = [cost]
+    covariance = np.diag(deviation**2)
+    for _ in range(shooting.settings.passes):
+        base = base_of(stiffness, values)
+        H, right, back = np.diag(deviation**-2), -values / deviation**2, []
+        for w in windows:
+            G, g = shooting.normal(w, base, base_columns(shooting, base), nothing_seen, N_BASE)
+            L = local_scales(shooting, w.last - w.first)
+            factor = cho_factor(np.eye(len(L)) + L[:, None] * G[N_BASE:, N_BASE:] * L)
+            C = L[:, None] * G[N_BASE:, :N_BASE]
+            u = -(L * g[N_BASE:] + w.white)
+            H += G[:N_BASE, :N_BASE] - C.T @ cho_solve(factor, C)
+            right += -g[:N_BASE] - C.T @ cho_solve(factor, u)
+            back.append((factor, C, u))
+        covariance = np.linalg.inv(H)
+        step = covariance @ right
+        # Logarithms of stiffness by at most a factor of two at once.
+        step *= min(1.0, 0.7 / max(float(np.abs(step[:3]).max()), 1e-9))
+        before = cost + 0.5 * float(((values / deviation) ** 2).sum())
+        length = 1.0
+        for _ in range(5):
+            trial = values + length * step
+            moved = [
+                shooting.simulate(
+                    w, w.white + length * cho_solve(f, u - C @ step), base_of(stiffness, trial)
+                )
+                for w, (f, C, u) in zip(windows, back, strict=True)
+            ]
+            trial_cost = sum(shooting.cost(w) for w in moved)
+            after = trial_cost + 0.5 * float(((trial / deviation) ** 2).sum())
+            if after < before and all(w.converged for w in moved):
+                break
+            length *= 0.4
+        else:
+            break
+        windows, values, cost = moved, trial, trial_cost
+        history.append(cost)
+        report("base", cost)
+        if before - after < _STALLED * before:
+            break
+    return BaseFit(windows, stiffness, values, covariance, cost, tuple(history))
+
+
+def _sweep(
+    shooting: Shooting,
+    start_positions: Array,
+    stiffness: Array,
+    values: Array,
+    before: list[WindowMotion],
+    n_frames: int,
+    report: Callable[[str, float], None],
+) -> tuple[list[WindowMotion], Array]:
+    """One window after the other, each from where the one before has ended; what is learnt is passed on."""
+    simulator = shooting.simulator
+    state = State.start(
+        torch.from_numpy(start_positions.copy())[None],
+        torch.from_numpy(np.zeros_like(start_positions))[None],
+        simulator.time_step,
+        simulator.n_past,
+    )
+    deviation = base_deviations(shooting)
+    precision = np.diag(deviation**-2)
+    mean = np.zeros(N_BASE)
+    windows: list[WindowMotion] = []
+    for index, (first, last) in enumerate(window_bounds(n_frames, shooting.settings.window)):
+        n = last - first
+        scales = local_scales(shooting, n)
+        white = before[index].white.copy() if before else np.zeros(shooting.layout(n)[2])
+        # Where the window starts has been learnt by the window before.
+        white[: 2 * shooting.n_fields] = 0.0
+        window = WindowMotion(first, last, state, white)
+        window = shooting.simulate(window, white, base_of(stiffness, values))
+        prior = precision.copy()
+        about = mean.copy()
+
+        def total(w: WindowMotion, v: Array, p: Array = prior, m: Array = about) -> float:
+            return shooting.cost(w) + 0.5 * float((v - m) @ p @ (v - m))
+
+        cost = total(window, values)
+        information = np.zeros_like(prior)
+        for _ in range(shooting.settings.iterations):
+            base = base_of(stiffness, values)
+            G, g = shooting.normal(window, base, base_columns(shooting, base), nothing_seen, N_BASE)
+            L = np.concatenate((np.ones(N_BASE), scales))
+            H = L[:, None] * G * L
+            right = -L * g
+            H[N_BASE:, N_BASE:] += np.eye(len(scales))
+            right[N_BASE:] -= window.white
+            inner = cho_factor(H[N_BASE:, N_BASE:])
+            information = H[:N_BASE, :N_BASE] - H[:N_BASE, N_BASE:] @ cho_solve(inner, H[N_BASE:, :N_BASE])
+            H[:N_BASE, :N_BASE] += prior
+            right[:N_BASE] -= prior @ (values - about)
+            step = cho_solve(cho_factor(H), right)
+            length = min(1.0, 0.7 / max(float(np.abs(step[:3]).max()), 1e-9))
+            for _ in range(5):
+                trial_values = values + length * step[:N_BASE]
+                trial = shooting.simulate(
+                    window, window.white + length * step[N_BASE:], base_of(stiffness, trial_values)
+                )
+                trial_cost = total(trial, trial_values)
+                if trial.converged and trial_cost < cost:
+                    break
+                length *= 0.35
+            else:
+                break
+            small = cost - trial_cost < 0.05 * abs(cost)
+            window, values, cost = trial, trial_values, trial_cost
+            if small:
+                break
+        precision = prior + information
+        mean = values.copy()
+        windows.append(window)
+        report("window", cost)
+        assert window.end is not None
+        state = window.end
+    return windows, values
+
+
+# A pass that lowers the cost by less than this fraction is the last one.
+_STALLED = 0.01

@@ -1,0 +1,134 @@
+"""The outline in frame 0, where the cloth is known: it tells a wrong camera and a wrong mask apart.
+
+Frame 0 is the template, so its border has a place in the image without any fit. The signed distance from
+there to the mask's edge is noise for a right camera and a right mask, constant for a grown mask, and grows
+with the distance from the principal point for a wrong focal length or a distorted lens.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt, map_coordinates
+from torch.func import jacfwd
+
+from toile.effects.base import CameraEffect, Effect, MaskEffect
+from toile.scenes.scene import Scene
+
+Array = NDArray[np.float64]
+
+# An edge drawn in whole pixels is off by up to half of one: deviation of a distance to it [px].
+_RASTER = 0.5
+# Border points closer than this share their error [px].
+_CORRELATION = 12.0
+# A mask that is wrong is ragged too: how ragged at most [px].
+_RAGGED = 3.0
+
+
+@dataclass(frozen=True)
+class Border:
+    """Border points of frame 0.
+
+    Attributes:
+        pixels: (n, 2) [px].
+        normals: (n, 2) outwards.
+        distances: (n,) [px] by which the mask reaches beyond them.
+        independent: number of points that err on their own.
+    """
+
+    pixels: Array
+    normals: Array
+    distances: Array
+    independent: float
+
+
+def border(scene: Scene) -> Border:
+    """Border of the template and its distance to the first mask."""
+    pixels = scene.camera.project(scene.template).numpy().astype(np.float64)
+    p = pixels
+    along = (p[0, 2:] - p[0, :-2], p[-1, 2:] - p[-1, :-2], p[2:, 0] - p[:-2, 0], p[2:, -1] - p[:-2, -1])
+    inner = (
+        p[1, 1:-1] - p[0, 1:-1],
+        p[-2, 1:-1] - p[-1, 1:-1],
+        p[1:-1, 1] - p[1:-1, 0],
+        p[1:-1, -2] - p[1:-1, -1],
+    )
+    at = np.concatenate((p[0, 1:-1], p[-1, 1:-1], p[1:-1, 0], p[1:-1, -1]))
+    tangent = np.concatenate(along)
+    n = np.stack((tangent[:, 1], -tangent[:, 0]), 1)
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    n *= -np.sign((n * np.concatenate(inner)).sum(1, keepdims=True))
+    mask = scene.masks[0].numpy() > 0.5
+    # Distance to the edge between pixels: half a pixel off the centres on both sides of it.
+    signed = np.where(mask, distance_transform_edt(mask) - 0.5, 0.5 - distance_transform_edt(~mask))
+    distances = map_coordinates(signed, [at[:, 1] - 0.5, at[:, 0] - 0.5], order=1, mode="nearest")
+    length = float(np.linalg.norm(tangent, axis=1).sum() / 2)
+    return Border(at, n, distances, max(8.0, min(float(len(at)), length / _CORRELATION)))
+
+
+def border_columns(effect: Effect, scene: Scene, at: Border) -> Array:
+    """Change of the distances (n, n_parameters) per prior deviation of an effect's numbers, at zero."""
+    scales = effect.scales
+    zero = torch.full_like(scales, 1e-9)
+    if isinstance(effect, MaskEffect):
+
+        def grown(white: torch.Tensor) -> torch.Tensor:
+            acting = effect.with_values(white * scales)
+            assert isinstance(acting, MaskEffect)
+            return acting.growth()
+
+        return np.outer(np.ones(len(at.distances)), jacfwd(grown)(zero).numpy())
+    if isinstance(effect, CameraEffect):
+        pixels = torch.from_numpy(at.pixels)
+
+        def moved(white: torch.Tensor) -> torch.Tensor:
+            acting = effect.with_values(white * scales)
+            assert isinstance(acting, CameraEffect)
+            return acting.pixels(pixels, scene.camera)
+
+        return np.asarray(np.einsum("nk,nkp->np", at.normals, jacfwd(moved)(zero).numpy()))
+    return np.zeros((len(at.distances), len(scales)))
+
+
+@dataclass(frozen=True)
+class BorderFit:
+    """How well an effect explains the outline.
+
+    Attributes:
+        log_evidence: against no effect.
+        mean, covariance: of its numbers in units of their prior deviations.
+    """
+
+    log_evidence: float
+    mean: Array
+    covariance: Array
+
+
+def border_evidence(effect: Effect, scene: Scene, at: Border) -> BorderFit:
+    """Evidence of an effect of the camera or the mask from the outline of frame 0."""
+    share = at.independent / len(at.distances)
+    null = _log_likelihood(at.distances, _RASTER, share)
+    columns = border_columns(effect, scene, at)
+    if not columns.any():
+        return BorderFit(0.0, np.zeros(columns.shape[1]), np.eye(columns.shape[1]))
+    noises = np.geomspace(_RASTER, _RAGGED, 7) if isinstance(effect, MaskEffect) else np.array([_RASTER])
+    best: BorderFit | None = None
+    for noise in noises:
+        H = np.eye(columns.shape[1]) + share * columns.T @ columns / noise**2
+        covariance = np.linalg.inv(H)
+        mean = covariance @ (share * columns.T @ at.distances / noise**2)
+        left = _log_likelihood(at.distances - columns @ mean, noise, share)
+        value = left - 0.5 * float(mean @ mean) - 0.5 * float(np.linalg.slogdet(H)[1])
+        # One of several raggednesses was chosen.
+        value -= float(np.log(len(noises)))
+        if best is None or value - null > best.log_evidence:
+            best = BorderFit(value - null, mean, covariance)
+    assert best is not None
+    return best
+
+
+def _log_likelihood(distances: Array, noise: float, share: float) -> float:
+    return share * float((-0.5 * (distances / noise) ** 2 - np.log(noise)).sum())

@@ -1,0 +1,207 @@
+"""Changes of brightness and sharpness on the cloth: light and exposure leave traces that no motion does.
+
+Colours are read at the tracked positions, on a lattice that moves with the cloth, and compared with frame 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter, map_coordinates
+from torch.func import jacfwd
+
+from toile.effects.base import BrightnessEffect, ExposureEffect
+from toile.fitting.gauss_newton.recipe import visible
+from toile.fitting.reconstruction import Reconstruction
+from toile.fitting.terms.texture_points import grid_points
+from toile.geometry.mesh import grid_faces, vertex_normals
+
+Array = NDArray[np.float64]
+
+_LATTICE = 64
+_PATCH = 8
+# Brightness of a patch is known to this relative deviation, whatever the image.
+_BRIGHTNESS_NOISE = 0.02
+# Frames in a row and patches side by side share their error.
+_SHARED_ERROR = 8.0
+
+
+@dataclass(frozen=True)
+class Colours:
+    """Colours on a lattice over the cloth.
+
+    Attributes:
+        brightness: logarithm of patch means relative to frame 0, (F, P) with P patches; 0 where hidden.
+        seen: share of each patch that is visible (F, P).
+        normals: unit normals of the patches towards the camera (F, P, 3).
+        images: (F, n, n) grey, NaN where hidden.
+        pixels: of the lattice (F, n, n, 2) [px].
+    """
+
+    brightness: Array
+    seen: Array
+    normals: Array
+    images: Array
+    pixels: Array
+
+
+def colours(reconstruction: Reconstruction, positions: Array) -> Colours:
+    """Read the colours at tracked positions (F, N, 3)."""
+    scene = reconstruction.scene
+    n = _LATTICE
+    points = grid_points(scene.grid, n, 0.0, 0)
+    at = points.positions(positions)
+    pixels = scene.camera.project(torch.from_numpy(at)).numpy()
+    shown = visible(reconstruction, points, positions) > 0.5
+    normals = vertex_normals(torch.from_numpy(positions), grid_faces(*scene.grid)).numpy()
+    normals = points.positions(normals)
+    normals *= -np.sign((normals * at).sum(-1, keepdims=True))
+    grey = scene.frames.numpy().mean(-1).astype(np.float64)
+    masks = scene.masks.numpy().astype(np.float64)
+    images = np.empty(shown.shape)
+    smooth = np.empty(shown.shape)
+    for f in range(len(grey)):
+        where = [pixels[f, :, 1] - 0.5, pixels[f, :, 0] - 0.5]
+        images[f] = map_coordinates(grey[f], where, order=1, mode="nearest")
+        weight = gaussian_filter(masks[f], 3.0)
+        blurred = gaussian_filter(grey[f] * masks[f], 3.0) / np.maximum(weight, 1e-3)
+        smooth[f] = map_coordinates(blurred, where, order=1, mode="nearest")
+        shown[f] &= map_coordinates(weight, where, order=1, mode="nearest") > 0.9
+    shown &= shown[:1]
+    patch = lambda a: a.reshape(len(a), _PATCH, n // _PATCH, _PATCH, n // _PATCH, *a.shape[2:])  # noqa: E731
+    weight = patch(shown.astype(np.float64))
+    seen = weight.mean((2, 4)).reshape(len(grey), -1)
+    # The same points of frame 0: what is hidden now must not count there.
+    now = (patch(smooth) * weight).sum((2, 4)).reshape(len(grey), -1)
+    first = (patch(np.broadcast_to(smooth[:1], smooth.shape)) * weight).sum((2, 4)).reshape(len(grey), -1)
+    brightness = np.where(seen > 0.5, np.log(np.maximum(now, 1e-3) / np.maximum(first, 1e-3)), 0.0)
+    patch_normals = patch(normals).mean((2, 4)).reshape(len(grey), -1, 3)
+    patch_normals /= np.maximum(np.linalg.norm(patch_normals, axis=-1, keepdims=True), 1e-9)
+    images = np.where(shown, images, np.nan).reshape(-1, n, n)
+    return Colours(brightness, np.where(seen > 0.5, seen, 0), patch_normals, images, pixels.reshape(-1, n, n, 2))
+
+
+@dataclass(frozen=True)
+class ColourFit:
+    """How well an effect explains the colours.
+
+    Attributes:
+        log_evidence: against no effect.
+        mean, covariance: of its numbers in units of their prior deviations.
+        explained: share of the squared change that it explains.
+        change: root mean square change that there was to explain.
+    """
+
+    log_evidence: float
+    mean: Array
+    covariance: Array
+    explained: float
+    change: float
+
+
+def brightness_evidence(effect: BrightnessEffect, seen: Colours) -> ColourFit:
+    """Evidence that light on turning surfaces explains the changes of brightness.
+
+    The light may turn during the clip: besides the effect's own columns there are the same with slow changes
+    in time, which a fixed light does not need and the evidence charges for.
+    """
+    scales = effect.scales
+    normals = torch.from_numpy(seen.normals)
+    reference = normals[:1].expand_as(normals)
+
+    def factor(white: torch.Tensor) -> torch.Tensor:
+        return effect.with_values(white * scales).brightness(normals, reference).log()
+
+    fixed = jacfwd(factor)(torch.full_like(scales, 1e-9)).numpy()
+    weights = seen.seen / _BRIGHTNESS_NOISE**2 / _SHARED_ERROR
+    F = len(normals)
+    turning = [fixed]
+    for k in (1, 2):
+        turning.append(seen.normals * np.sin(0.5 * np.pi * k * np.arange(F) / max(F - 1, 1))[:, None, None])
+    y = seen.brightness
+    # Whatever is neither noise nor light is of unknown size; it is charged to both hypotheses alike.
+    best: ColourFit | None = None
+    for columns in (fixed, np.concatenate(turning, -1)):
+        C = columns.reshape(-1, columns.shape[-1])
+        w = weights.reshape(-1)
+        H = np.eye(C.shape[1]) + C.T @ (C * w[:, None])
+        covariance = np.linalg.inv(H)
+        mean = covariance @ (C.T @ (w * y.reshape(-1)))
+        left = y.reshape(-1) - C @ mean
+        total, rest = float((w * y.reshape(-1) ** 2).sum()), float((w * left**2).sum())
+        count = float((w > 0).sum()) / _SHARED_ERROR
+        value = 0.5 * count * np.log((count + total) / (count + rest))
+        value -= 0.5 * float(np.linalg.slogdet(H)[1]) * min(1.0, (count + rest) / (count + total)) + float(
+            np.log(2)
+        )
+        found = ColourFit(
+            float(value),
+            mean[: len(scales)],
+            covariance[: len(scales), : len(scales)] * max(1.0, rest / max(count, 1.0)),
+            1 - rest / max(total, 1e-9),
+            float(np.sqrt((seen.seen * y**2).sum() / max(seen.seen.sum(), 1e-9))),
+        )
+        if best is None or found.log_evidence > best.log_evidence:
+            best = found
+    assert best is not None
+    return best
+
+
+def exposure_evidence(effect: ExposureEffect, seen: Colours) -> ColourFit:
+    """Evidence that frames are smeared along the motion.
+
+    A box of length e w, with w the motion between two frames, has the second moment e² |w|² / 12, so to
+    first order a smeared image is I + e²/24 (w·∇)² I. Beside it every frame may be blurred in all directions,
+    shifted and brighter, which resampling and tracking errors are.
+    """
+    F = len(seen.images)
+    smooth = np.nan_to_num(seen.images)
+    known = ~np.isnan(seen.images)
+    reference = gaussian_filter(smooth[0], 1.0)
+    velocity = np.gradient(seen.pixels, axis=0)
+    estimates, weights = [], []
+    for f in range(1, F):
+        ok = known[f] & known[0]
+        ok = gaussian_filter(ok.astype(float), 1.5) > 0.98
+        if ok.sum() < 200:
+            continue
+        # Motion in lattice units: solve J w = u with J the derivative of the pixels along the lattice.
+        J = np.stack((np.gradient(seen.pixels[f], axis=0), np.gradient(seen.pixels[f], axis=1)), -1)
+        det = J[..., 0, 0] * J[..., 1, 1] - J[..., 0, 1] * J[..., 1, 0]
+        ok &= np.abs(det) > 0.2 * np.median(np.abs(det))
+        safe = np.where(np.abs(det) > 1e-6, det, 1.0)
+        u = velocity[f]
+        a = (J[..., 1, 1] * u[..., 0] - J[..., 0, 1] * u[..., 1]) / safe
+        b = (J[..., 0, 0] * u[..., 1] - J[..., 1, 0] * u[..., 0]) / safe
+        if float(np.sqrt((a**2 + b**2)[ok].mean())) < 0.3:
+            continue
+        gi, gj = np.gradient(reference)
+        ii, ij = np.gradient(gi)
+        _, jj = np.gradient(gj)
+        smear = (a * a * ii + 2 * a * b * ij + b * b * jj) / 24
+        now = gaussian_filter(smooth[f], 1.0)
+        columns = np.stack((smear, ii, ij, jj, gi, gj, reference, np.ones_like(reference)), -1)[ok]
+        target = (now - reference)[ok]
+        solution, *_ = np.linalg.lstsq(columns, target, rcond=None)
+        spread = np.linalg.pinv(columns.T @ columns)[0, 0] * float((target - columns @ solution).var())
+        estimates.append(solution[0])
+        weights.append(1 / max(spread * _LATTICE, 1e-12))
+    scale = float(effect.scales[0])
+    if len(estimates) < 4:
+        return ColourFit(0.0, np.zeros(1), np.eye(1), 0.0, 0.0)
+    e, w = np.array(estimates), np.array(weights)
+    w = np.minimum(w, np.median(w) * 4)
+    squared = float((w * e).sum() / w.sum())
+    # Frames disagree by more than their own errors say: the spread between them counts, three in a row as one.
+    variance = float((w**2 * (e - squared) ** 2).sum() / w.sum() ** 2) * 3 + 1 / float(w.sum())
+    z = squared / np.sqrt(variance)
+    prior = scale**4
+    value = 0.5 * z**2 * prior / (prior + variance) - 0.5 * np.log1p(prior / variance)
+    if squared <= 0:
+        value = min(value, 0.0)
+    fraction = np.sqrt(max(squared, 0.0))
+    deviation = np.sqrt(variance) / (2 * max(fraction, 0.1))
+    return ColourFit(float(value), np.array([fraction / scale]), np.array([[(deviation / scale) ** 2]]), 0.0, 0.0)

@@ -1,0 +1,76 @@
+"""From evidence to a verdict: probabilities that were calibrated on scenes made for it, and a confidence set."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.resources import files
+
+import numpy as np
+
+NONE = "none"
+UNKNOWN = "unknown"
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What scenes without an effect, and with known ones, say about the evidence.
+
+    Attributes:
+        usual: log evidence that an effect reaches on scenes without any, by name.
+        spread: deviation of that.
+        temperature: deviations of the null by which the odds of an effect grow e-fold.
+        threshold: deviations at which an effect and none are equally probable.
+        unknown: deviations at which something outside the catalogue and none are.
+        source: scenes it was made from.
+    """
+
+    usual: Mapping[str, float]
+    spread: Mapping[str, float]
+    temperature: float
+    threshold: float
+    unknown: float
+    source: str
+
+    @staticmethod
+    def load() -> Calibration:
+        """The calibration that comes with the package."""
+        values = json.loads((files("toile.diagnosis") / "calibration.json").read_text())
+        return Calibration(**values)
+
+    def score(self, name: str, log_evidence: float) -> float:
+        """Log evidence in deviations above what is usual without the effect."""
+        usual = self.usual.get(name, 0.0)
+        return (log_evidence - usual) / max(self.spread.get(name, 1.0), 1.0)
+
+
+def probabilities(evidence: Mapping[str, float], calibration: Calibration) -> dict[str, float]:
+    """Probability of every hypothesis, NONE and UNKNOWN among them, most probable first.
+
+    Args:
+        evidence: log evidence against the base model, by effect and for UNKNOWN.
+        calibration: see Calibration.
+    """
+    logits = {NONE: 0.0}
+    for name, value in evidence.items():
+        at = calibration.unknown if name == UNKNOWN else calibration.threshold
+        logits[name] = (calibration.score(name, value) - at) / calibration.temperature
+    names = list(logits)
+    values = np.array([logits[name] for name in names])
+    weights = np.exp(values - values.max())
+    weights /= weights.sum()
+    order = np.argsort(-weights, kind="stable")
+    return {names[i]: float(weights[i]) for i in order}
+
+
+def confidence_set(found: Mapping[str, float], level: float = 0.9) -> tuple[str, ...]:
+    """The most probable hypotheses that hold ``level`` of the probability together."""
+    chosen: list[str] = []
+    total = 0.0
+    for name, value in sorted(found.items(), key=lambda item: -item[1]):
+        chosen.append(name)
+        total += value
+        if total >= level:
+            break
+    return tuple(chosen)

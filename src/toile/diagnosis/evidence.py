@@ -1,0 +1,180 @@
+"""How well each hypothesis explains what the base model leaves: Gaussian evidence around the base fit.
+
+Unknown are the local quantities of every window, among them a smooth force field of unknown size (the
+discrepancy), the base's stiffness and wind, and a hypothesis' own numbers. All are Gaussian a priori and enter
+linearly around the base fit, so everything but the size of the discrepancy is integrated out exactly; that one
+is scanned. A hypothesis gains by making the discrepancy small, not by fitting better.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class WindowSystem:
+    """Gauss-Newton system of one window over [base | effects | local].
+
+    Attributes:
+        matrix, gradient: of the image term, local force columns in m/s².
+        white: current local unknowns in units of the base fit's deviations.
+        forces: index of the first force column among the local ones.
+        force: deviation of the forces in the base fit [m/s²].
+    """
+
+    matrix: Array
+    gradient: Array
+    white: Array
+    forces: int
+    force: float
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """A system without local unknowns, at one size of the discrepancy."""
+
+    matrix: Array
+    right: Array
+    constant: float
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """One hypothesis.
+
+    Attributes:
+        log_evidence: integrated over the hypothesis' numbers, at its best discrepancy.
+        discrepancy: that deviation [m/s²].
+        mean, covariance: of the effect's numbers, in units of their prior deviations, (n,), (n, n).
+        columns: which columns those are.
+    """
+
+    log_evidence: float
+    discrepancy: float
+    mean: Array
+    covariance: Array
+    columns: tuple[int, ...]
+
+
+DISCREPANCIES = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
+"""Deviations of a force mode that are tried [m/s²]."""
+
+
+class Evidence:
+    """Evidence of hypotheses on one clip.
+
+    Args:
+        systems: of all windows.
+        values: base values of the fit (n_base,).
+        deviations: their prior deviations.
+        slack: factor on the prior deviations of an effect's numbers.
+    """
+
+    def __init__(
+        self, systems: Sequence[WindowSystem], values: Array, deviations: Array, slack: float = 1.5
+    ) -> None:
+        self.n_base = len(values)
+        self.values = values
+        self.deviations = deviations
+        self.slack = slack
+        self.n_shared = len(systems[0].gradient) - len(systems[0].white)
+        self.reduced = {size: _reduce(systems, size, self.n_shared) for size in DISCREPANCIES}
+
+    def posterior(self, columns: Sequence[int], largest: float = np.inf) -> Posterior:
+        """The hypothesis that frees these columns beside the base, at its best discrepancy up to ``largest``."""
+        best: Posterior | None = None
+        for size in DISCREPANCIES:
+            if size > largest and best is not None:
+                break
+            found = self._at(columns, size)
+            if best is None or found.log_evidence > best.log_evidence:
+                best = found
+        assert best is not None
+        return best
+
+    def signed(self, columns: Sequence[int], lowest: Array) -> Posterior:
+        """The best hypothesis among subsets of the columns whose numbers obey their bounds.
+
+        Args:
+            columns: of one effect.
+            lowest: 0 where a number cannot be negative, -inf elsewhere.
+        """
+        bounded = [i for i in range(len(columns)) if lowest[i] == 0]
+        free = [i for i in range(len(columns)) if lowest[i] != 0]
+        best: Posterior | None = None
+        subsets = [c for r in range(len(bounded) + 1) for c in combinations(bounded, r)]
+        tried = 0
+        for subset in subsets:
+            chosen = [columns[i] for i in sorted((*subset, *free))]
+            if not chosen:
+                continue
+            found = self.posterior(chosen)
+            tried += 1
+            low = np.array([lowest[list(columns).index(c)] for c in found.columns])
+            if (found.mean < low).any():
+                continue
+            if best is None or found.log_evidence > best.log_evidence:
+                best = found
+        if best is None:
+            none = self.posterior(())
+            return Posterior(none.log_evidence - _FORBIDDEN, none.discrepancy, np.zeros(0), np.zeros((0, 0)), ())
+        return Posterior(
+            best.log_evidence - float(np.log(tried)), best.discrepancy, best.mean, best.covariance, best.columns
+        )
+
+    def loss_drop(self, columns: Sequence[int], size: float) -> float:
+        """By how much the training loss falls with these columns free, without any charge for them."""
+        return self._at(columns, size, charge=False).log_evidence - self._at((), size, charge=False).log_evidence
+
+    def fisher(self, size: float) -> Array:
+        """Information on all effect columns with base, starts, anchors and discrepancy integrated out."""
+        reduced = self.reduced[size]
+        b = self.n_base
+        A = reduced.matrix[:b, :b] + np.diag(self.deviations**-2)
+        C = reduced.matrix[:b, b:]
+        return np.asarray(reduced.matrix[b:, b:] - C.T @ np.linalg.solve(A, C))
+
+    def _at(self, columns: Sequence[int], size: float, *, charge: bool = True) -> Posterior:
+        reduced = self.reduced[size]
+        index = np.array([*range(self.n_base), *columns], int)
+        scale = np.concatenate((self.deviations, np.full(len(columns), self.slack)))
+        mean = np.concatenate((self.values / self.deviations, np.zeros(len(columns))))
+        H = np.eye(len(index)) + scale[:, None] * reduced.matrix[np.ix_(index, index)] * scale
+        factor = cho_factor(H)
+        right = scale * reduced.right[index] - mean
+        white = cho_solve(factor, right)
+        value = reduced.constant + 0.5 * right @ white - 0.5 * mean @ mean
+        if charge:
+            value -= np.log(np.diag(factor[0])).sum()
+        covariance = scale[:, None] * cho_solve(factor, np.diag(scale))
+        b = self.n_base
+        return Posterior(float(value), size, (scale * white)[b:], covariance[b:, b:], tuple(columns))
+
+
+def _reduce(systems: Sequence[WindowSystem], size: float, n: int) -> Reduced:
+    matrix, right, constant = np.zeros((n, n)), np.zeros(n), 0.0
+    for s in systems:
+        local = len(s.white)
+        forces = np.arange(local) >= s.forces
+        scale = np.where(forces, size, 1.0)
+        mean = s.white * np.where(forces, s.force / size, 1.0)
+        factor = cho_factor(np.eye(local) + scale[:, None] * s.matrix[n:, n:] * scale)
+        C = scale[:, None] * s.matrix[n:, :n]
+        u = -(scale * s.gradient[n:] + mean)
+        solved = cho_solve(factor, u)
+        matrix += s.matrix[:n, :n] - C.T @ cho_solve(factor, C)
+        right += -s.gradient[:n] - C.T @ solved
+        constant += 0.5 * u @ solved - 0.5 * mean @ mean - np.log(np.diag(factor[0])).sum()
+    return Reduced(matrix, right, float(constant))
+
+
+# Log evidence taken from an effect whose every sign is impossible.
+_FORBIDDEN = 20.0

@@ -1,0 +1,80 @@
+"""What a model predicts beyond the frames it was fitted to: one open rollout, nothing refitted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from toile.cloth.material import Material
+from toile.cloth.state import State
+from toile.diagnosis.shooting import Base, Shooting
+from toile.effects.base import Effect, Surroundings
+from toile.effects.setting import setting
+from toile.simulators.base import StepStatus
+from toile.simulators.implicit.integrators import BDF2
+from toile.simulators.implicit.simulator import ImplicitSimulator
+from toile.simulators.rollout import rollout
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """A rollout over held-out frames.
+
+    Attributes:
+        positions: (n, N, 3) [m] of frames first + 1 ... first + n.
+        errors: root mean square distance to the tracked positions per frame (n,) [m].
+    """
+
+    positions: Array
+    errors: Array
+
+
+def predict(
+    shooting: Shooting,
+    around: Surroundings,
+    base: Base,
+    effects: Sequence[Effect],
+    start: State,
+    first: int,
+    last: int,
+    extra: Array | None = None,
+) -> Prediction | None:
+    """Simulate frames first ... last from a state, without free forces; None where the solver fails.
+
+    Args:
+        shooting: simulator, tracked positions and anchors.
+        around: the clip, up to ``last`` at least.
+        base: stiffness and wind.
+        effects: in the model.
+        start: state at ``first``.
+        first, last: frames.
+        extra: constant force per mass beside (N, 3) [m/s²].
+    """
+    wind = base.wind @ shooting.horizontal
+    acceleration = torch.from_numpy(wind if extra is None else wind + extra)
+    anchors = torch.from_numpy(shooting.anchors[: around.n_frames])
+    given = setting(effects, around, anchors, acceleration)
+    old = shooting.simulator
+    assert isinstance(old, ImplicitSimulator)
+    step = float(given.frame_interval) / shooting.substeps
+    simulator = ImplicitSimulator(given.cloth, step, BDF2(), old.newton, given.terms)
+    k = torch.from_numpy(base.stiffness)[:, None]
+    motion = rollout(
+        simulator,
+        start,
+        Material(k[0], k[1], k[2]),
+        given.forces[None, first:last].detach(),
+        given.anchors[None, first : last + 1].detach(),
+        shooting.substeps,
+        throw=False,
+    )
+    if any(s.status[0] is not StepStatus.CONVERGED for s in motion.steps):
+        return None
+    positions = motion.positions[0, 1:].detach().numpy()
+    return Prediction(positions, shooting.tracked.distances(slice(first + 1, last + 1), positions))

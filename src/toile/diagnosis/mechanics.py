@@ -1,0 +1,152 @@
+"""Base fit and screening of everything that acts on the motion or on where it is seen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from toile.diagnosis.base_fit import (
+    N_BASE,
+    BaseFit,
+    base_columns,
+    base_deviations,
+    fit_base,
+)
+from toile.diagnosis.effect_columns import (
+    FORCES,
+    Instant,
+    apparent_columns,
+    force_columns,
+)
+from toile.diagnosis.evidence import Evidence, WindowSystem
+from toile.diagnosis.model_grid import ModelGrid
+from toile.diagnosis.sensitivities import StepForces
+from toile.diagnosis.shooting import Shooting, ShootingSettings
+from toile.diagnosis.tracked import Tracked
+from toile.effects.base import CameraEffect, Effect, Surroundings
+from toile.fitting.gauss_newton.unknowns import horizontal_basis
+from toile.geometry.camera import Camera
+from toile.scenes.scene import Scene
+from toile.simulators.implicit.integrators import BDF2
+from toile.simulators.implicit.newton import NewtonSettings
+from toile.simulators.implicit.simulator import ImplicitSimulator
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Mechanics:
+    """The base model of a clip, and what every effect would change about it.
+
+    Attributes:
+        shooting: the problem.
+        fit: the base model.
+        evidence: of hypotheses about effects.
+        columns: (first, last + 1) of every effect's columns, by name.
+        effects: by name.
+        around: the nominal clip on the model's grid.
+    """
+
+    shooting: Shooting
+    fit: BaseFit
+    evidence: Evidence
+    columns: dict[str, tuple[int, int]]
+    effects: dict[str, Effect]
+    around: Surroundings
+
+
+def substeps_per_frame(fps: float, longest: float) -> int:
+    """Sub-steps no longer than ``longest`` [s]."""
+    return max(1, int(np.ceil(1 / fps / longest - 1e-9)))
+
+
+def analyse_mechanics(
+    scene: Scene,
+    grid: ModelGrid,
+    tracked: Tracked,
+    effects: Sequence[Effect],
+    settings: ShootingSettings,
+    stiffness: tuple[float, float, float],
+    longest_substep: float,
+    n_frames: int,
+    report: Callable[[str, float], None],
+) -> Mechanics:
+    """Fit the base model to the first n_frames frames and screen the effects.
+
+    Args:
+        scene: its gravity, frame rate and camera are used.
+        grid: of the model.
+        tracked: see Tracked.
+        effects: candidates; those that act neither through forces nor the camera are passed over.
+        settings: see ShootingSettings.
+        stiffness: start values Y, S, B in network units.
+        longest_substep: [s].
+        n_frames: frames used.
+        report: called with a message and the cost.
+    """
+    substeps = substeps_per_frame(scene.fps, longest_substep)
+    simulator = ImplicitSimulator(grid.cloth, 1 / scene.fps / substeps, BDF2(), NewtonSettings(1e-5))
+    gravity = scene.gravity.numpy().astype(np.float64)
+    held = grid.cloth.held.numpy()
+    shooting = Shooting(
+        simulator,
+        substeps,
+        gravity,
+        horizontal_basis(gravity),
+        grid.grid,
+        tracked.positions[:, held],
+        tracked,
+        settings,
+    )
+    units = np.array([grid.units.stretching, grid.units.energy, grid.units.energy])
+    fit = fit_base(shooting, tracked.positions[0], np.array(stiffness) * units, n_frames, report)
+    around = Surroundings(grid.cloth, grid.cloth_size, torch.from_numpy(gravity), scene.fps, n_frames)
+    acting = [effect for effect in effects if isinstance(effect, (*FORCES, CameraEffect))]
+    # Columns of forces come first, see Shooting.normal.
+    acting.sort(key=lambda effect: isinstance(effect, CameraEffect))
+    columns, at = {}, 0
+    for effect in acting:
+        columns[effect.NAME] = (at, at + len(effect.scales))
+        at += len(effect.scales)
+    systems = window_systems(shooting, fit, acting, around, scene.camera, at)
+    evidence = Evidence(systems, fit.values, base_deviations(shooting))
+    return Mechanics(shooting, fit, evidence, columns, {e.NAME: e for e in acting}, around)
+
+
+def window_systems(
+    shooting: Shooting,
+    fit: BaseFit,
+    effects: Sequence[Effect],
+    around: Surroundings,
+    camera: Camera,
+    n_effects: int,
+) -> list[WindowSystem]:
+    """Gauss-Newton systems of all windows with the columns of all effects."""
+    base = fit.base
+    of_base = base_columns(shooting, base)
+    forces = [effect for effect in effects if isinstance(effect, FORCES)]
+    cameras = [effect for effect in effects if isinstance(effect, CameraEffect)]
+    template = shooting.tracked.positions[0]
+    acceleration = shooting.gravity + base.wind @ shooting.horizontal
+    h = shooting.simulator.time_step
+    held = shooting.simulator.assembly.held
+    systems = []
+    for window in fit.windows:
+
+        def shared(step: StepForces, first: int = window.first) -> Array:
+            time = first / around.fps + (step.index + 1) * h
+            now = Instant(step, time, h, base.stiffness, acceleration, step.positions[held])
+            return np.concatenate((of_base(step), *(force_columns(e, now, around) for e in forces)))
+
+        def seen(frame: int, positions: Array) -> Array:
+            found = [apparent_columns(e, positions, template, camera) for e in cameras]
+            return np.concatenate(found) if found else np.zeros((0, *positions.shape))
+
+        G, g = shooting.normal(window, base, shared, seen, N_BASE + n_effects)
+        offset = shooting.layout(window.last - window.first)[1]
+        systems.append(WindowSystem(G, g, window.white, offset, shooting.settings.force))
+    return systems

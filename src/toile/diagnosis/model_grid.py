@@ -1,0 +1,91 @@
+"""The grid on which the diagnosis simulates, and what maps it to the scene's own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from toile.cloth.cloth import Cloth, grid_cloth
+from toile.cloth.units import PAPER_TIME_STEP, NetworkUnits
+from toile.scenes.scene import Scene
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ModelGrid:
+    """A coarser cloth that stands for the scene's.
+
+    Attributes:
+        cloth: on the model's grid, uniform density.
+        units: network units of its grid at the paper's time step.
+        prolong: (N_scene, N_model) bicubic interpolation of vertex values.
+        restrict: (N_model, N_scene) bicubic interpolation the other way.
+        cloth_size: rest length of the sides [m].
+    """
+
+    cloth: Cloth
+    units: NetworkUnits
+    prolong: Array
+    restrict: Array
+    cloth_size: tuple[float, float]
+
+    @property
+    def grid(self) -> tuple[int, int]:
+        """(H, W) of the model."""
+        assert self.cloth.grid is not None
+        return self.cloth.grid
+
+
+def spline_matrix(n: int, at: Array) -> Array:
+    """Values of the cubic spline through n evenly spaced values on [0, 1], (len(at), n)."""
+    return np.asarray(CubicSpline(np.linspace(0, 1, n), np.eye(n), axis=0)(at))
+
+
+def model_grid(scene: Scene, fine: Cloth, side: int | None) -> ModelGrid:
+    """A model of the scene's cloth with ``side`` vertices along each side; None for the scene's own grid.
+
+    Rest lengths are arc lengths of the fine cloth's at rest, so a template that is not evenly spaced stays so.
+
+    Args:
+        scene: its grid and held vertices are used.
+        fine: the scene's cloth; areal density, rest lengths.
+        side: vertices.
+    """
+    H, W = scene.grid
+    h, w = (H, W) if side is None else (min(side, H), min(side, W))
+    u, v = np.linspace(0, 1, h), np.linspace(0, 1, w)
+    prolong = np.kron(spline_matrix(h, np.linspace(0, 1, H)), spline_matrix(w, np.linspace(0, 1, W)))
+    restrict = np.kron(spline_matrix(H, u), spline_matrix(W, v))
+    rest = fine.rest_lengths.numpy()
+    first, second = rest[: (H - 1) * W].reshape(H - 1, W), rest[(H - 1) * W :].reshape(H, W - 1)
+    lengths = np.concatenate(
+        (_resample(first, u, v).reshape(-1), _resample(second.T, v, u).T.reshape(-1))
+    )
+    size = float(first.sum(0).mean()), float(second.sum(1).mean())
+    area = size[0] * size[1]
+    density = float(fine.masses.sum()) / area
+    held = tuple(_nearest(int(k), (H, W), (h, w)) for k in fine.held)
+    cloth = grid_cloth((h, w), size, density, held, torch.from_numpy(lengths))
+    cell = area / ((h - 1) * (w - 1))
+    return ModelGrid(cloth, NetworkUnits(density * cell, cell**0.5, PAPER_TIME_STEP), prolong, restrict, size)
+
+
+def _resample(steps: Array, along: Array, across: Array) -> Array:
+    """Edge lengths (len(along) - 1, len(across)) from those of a finer grid (n - 1, m)."""
+    n, m = steps.shape[0] + 1, steps.shape[1]
+    arc = np.concatenate((np.zeros((1, m)), np.cumsum(steps, 0)))
+    at = np.stack([np.interp(along, np.linspace(0, 1, n), arc[:, j]) for j in range(m)], 1)
+    lines = np.stack([np.interp(across, np.linspace(0, 1, m), row) for row in at])
+    return np.diff(lines, axis=0)
+
+
+def _nearest(vertex: int, fine: tuple[int, int], coarse: tuple[int, int]) -> int:
+    i, j = divmod(vertex, fine[1])
+    a = round(i / (fine[0] - 1) * (coarse[0] - 1))
+    b = round(j / (fine[1] - 1) * (coarse[1] - 1))
+    return a * coarse[1] + b

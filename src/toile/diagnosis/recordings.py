@@ -1,0 +1,42 @@
+"""What to record next so that the remaining candidates part."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from toile.effects.base import Stage
+from toile.effects.catalogue import STAGES
+
+_BY_EFFECT = {
+    "gravity_tilt": "the same cloth with a plumb line in view",
+    "gusts": "the same cloth indoors with windows and doors closed",
+    "air_drag": "two clips, one with slow and one with fast motion of the held corners, in still air",
+    "internal_damping": "two clips, one with slow and one with fast motion of the held corners, in still air",
+    "frame_rate": "a running stopwatch in view",
+    "focal_error": "a ruler, or a calibration board, held in the plane of the cloth",
+    "lens_distortion": "a calibration board that fills the image",
+    "mask_bias": "the still cloth before a plain background of another colour",
+    "shading": "the still cloth under the same light, turned by hand through 90°",
+    "motion_blur": "the same motion with a shorter exposure",
+    "anchor_slip": "a mark on the cloth beside each clamp, filmed close up",
+    "contact": "the same motion with the cloth half a metre further from everything",
+    "nonuniform_density": "the cloth on scales, then held by its other two corners",
+    "nonuniform_stiffness": "the cloth held by its other two corners",
+    "anisotropic_stiffness": "the cloth turned by 90°, held by two corners of another side",
+    "strain_stiffening": "the cloth with a weight hung from its lower edge",
+    "rest_curvature": "the cloth lying on a table, then hanging with its other side to the camera",
+}
+
+
+def next_recording(candidates: Sequence[str]) -> str:
+    """Recordings that set the candidates apart, most telling first; "" for none of them in the catalogue."""
+    known = [c for c in candidates if c in _BY_EFFECT]
+    stages = [STAGES[c] for c in known]
+    if not known:
+        return "a second clip of the same cloth with another motion of the held corners, and one longer than this"
+    if len(known) > 1 and all(stage in (Stage.MECHANICS, Stage.ACTUATION) for stage in stages):
+        head = "a second clip with the held corners shaken about 3 cm at 2 to 3 Hz"
+    else:
+        head = ""
+    wanted = list(dict.fromkeys(_BY_EFFECT[c] for c in known))
+    return "; ".join(([head] if head else []) + wanted)

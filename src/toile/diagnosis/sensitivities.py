@@ -1,0 +1,229 @@
+"""Change of a whole motion for hundreds of forces at once.
+
+Around a motion that is already known, the equations of all sub-steps are linear in the forces. Their Hessians
+are assembled and factorised once, and every column of forces runs through them in one sweep over time, as
+dense blocks: five hundred columns cost about as much as the fit of one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import lapack
+
+from toile.simulators.implicit.banded import BandedCholesky
+from toile.simulators.linearizable import LinearizableSimulator
+
+Array = NDArray[np.float64]
+Single = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class StepForces:
+    """What acted in one sub-step of a known motion.
+
+    Attributes:
+        index: of the sub-step, from 0.
+        positions: at its end (N, 3) [m].
+        before: at its begin (N, 3) [m].
+        unit_gradients: of e_Y, e_S, e_B at its end (3, N, 3).
+        imbalance: inertia (x - x̂), (N, 3) [N].
+    """
+
+    index: int
+    positions: Array
+    before: Array
+    unit_gradients: Array
+    imbalance: Array
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Right-hand sides of one sub-step.
+
+    Attributes:
+        forces: (n_active, N, 3) [N]; columns beyond are still zero.
+        anchors: displacement of the held vertices at its end (n_active, n_held, 3) [m].
+    """
+
+    forces: Array
+    anchors: Array
+
+
+class BlockFactor:
+    """Band Cholesky factor as dense blocks, for many right-hand sides: matrix products only."""
+
+    def __init__(self, factor: BandedCholesky) -> None:
+        band = factor.band
+        n, width = band.shape
+        size = width - 1
+        blocks = -(-n // size)
+        padded = np.zeros((blocks * size, width))
+        padded[:n] = band
+        padded[n:, 0] = 1.0
+        # L[r, c] = band[c, r - c]
+        column, offset = np.meshgrid(np.arange(size), np.arange(size), indexing="ij")
+        self.n, self.size = n, size
+        self._inverse: list[Single] = []
+        self._below: list[Single] = []
+        for b in range(blocks):
+            rows = padded[b * size : (b + 1) * size]
+            diagonal = np.zeros((size, size))
+            below = np.zeros((size, size))
+            inside = column + offset < size
+            diagonal[(column + offset)[inside], column[inside]] = rows[:, :size][inside]
+            past = np.arange(width)[None, :] + np.arange(size)[:, None]
+            under = (past >= size) & (past < 2 * size)
+            below[(past - size)[under], np.broadcast_to(np.arange(size)[:, None], past.shape)[under]] = rows[
+                under
+            ]
+            inverse, info = lapack.dtrtri(diagonal, lower=1)
+            if info != 0:
+                raise FloatingPointError("a factor of the Hessian is singular")
+            self._inverse.append(inverse.astype(np.float32))
+            self._below.append(below.astype(np.float32))
+
+    def solve(self, right: Single) -> Single:
+        """Solve for right-hand sides (n, R)."""
+        size = self.size
+        parts: list[Single] = []
+        for b, inverse in enumerate(self._inverse):
+            r = right[b * size : (b + 1) * size]
+            if len(r) < size:
+                r = np.concatenate((r, np.zeros((size - len(r), r.shape[1]), np.float32)))
+            if b:
+                r = r - self._below[b - 1] @ parts[-1]
+            parts.append(inverse @ r)
+        for b in range(len(parts) - 1, -1, -1):
+            r = parts[b]
+            if b + 1 < len(parts):
+                r = r - self._below[b].T @ parts[b + 1]
+            parts[b] = self._inverse[b].T @ r
+        return np.concatenate(parts)[: self.n]
+
+
+class KnownMotion:
+    """A motion sub-step by sub-step, with what its equations need.
+
+    Args:
+        simulator: cloth, time step and integrator.
+        positions: of all sub-steps (S + 1, N, 3) [m].
+        stiffness: Y [N/m], S, B [N·m].
+        past: positions before the first one, latest first (K, N, 3) [m]; None: at rest.
+        steps: taken before; multistep methods begin with formulas of their own.
+    """
+
+    def __init__(
+        self,
+        simulator: LinearizableSimulator,
+        positions: Array,
+        stiffness: Array,
+        past: Array | None = None,
+        steps: int = 0,
+    ) -> None:
+        self.simulator = simulator
+        self.positions = positions
+        self.stiffness = stiffness
+        self.n_steps = len(positions) - 1
+        k = simulator.integrator.history
+        before = np.repeat(positions[:1], k - 1, 0) if past is None else past[: k - 1][::-1]
+        self._padded = np.concatenate((before, positions))
+        self._history = k
+        self._before = steps
+
+    def coefficients(self, n: int) -> tuple[tuple[float, ...], Array]:
+        """Weights of the prediction and inertia (N,) of sub-step n."""
+        formula = self.simulator.integrator.formula(self._before + n)
+        return formula.prediction, self.simulator._inertia(formula)
+
+    def step(self, n: int) -> StepForces:
+        """What acted in sub-step n."""
+        weights, inertia = self.coefficients(n)
+        k = self._history
+        prediction = np.zeros_like(self.positions[0])
+        for i, c in enumerate(weights):
+            prediction += c * self._padded[n + k - 1 - i]
+        x = self.positions[n + 1]
+        return StepForces(
+            n,
+            x,
+            self.positions[n],
+            self.simulator.assembly.gradients(x),
+            inertia[:, None] * (x - prediction),
+        )
+
+    def required(self, step: StepForces) -> Array:
+        """External force that makes the motion what it is (N, 3) [N]; zero at held vertices."""
+        free = self.simulator.assembly.free
+        return np.asarray(free * (step.imbalance + np.tensordot(self.stiffness, step.unit_gradients, 1)))
+
+    def tangents(
+        self,
+        first: int,
+        last: int,
+        substeps: int,
+        columns: Callable[[StepForces], Columns],
+        start: Array,
+        velocities: Array,
+    ) -> Iterator[Single]:
+        """Change of the frames first + 1 ... last for every column: (3N, R) [m] each, vertices' own order.
+
+        Args:
+            first, last: frames; the state at ``first`` changes as said by the next but one arguments.
+            substeps: sub-steps per frame.
+            columns: right-hand sides of a sub-step; the number of active ones never falls.
+            start: change of the positions at ``first`` (R, N, 3) [m].
+            velocities: of the velocities there (R, N, 3) [m/s].
+        """
+        assembly = self.simulator.assembly
+        held = assembly.held
+        order = np.argsort(assembly._to_band)
+        x0, v0 = (a.reshape(len(a), -1).T.astype(np.float32) for a in (start, velocities))
+        zero = np.zeros_like(x0)
+        h = self.simulator.time_step
+        history = [x0 - np.float32(i * h) * v0 for i in range(self._history)]
+        free = assembly.free.reshape(-1)[:, None].astype(np.float32)
+        held_rows = (3 * held[:, None] + np.arange(3)).reshape(-1)
+        for n in range(first * substeps, last * substeps):
+            weights, inertia = self.coefficients(n)
+            step = self.step(n)
+            factor, coupling = self._factor(step.positions, inertia)
+            right = columns(step)
+            m = len(right.forces)
+            b = right.forces.reshape(m, -1).T.astype(np.float32)
+            mass = np.repeat(inertia, 3)[:, None].astype(np.float32)
+            predicted = sum(np.float32(c) * h[:, :m] for c, h in zip(weights, history, strict=True))
+            b += mass * predicted
+            anchors = right.anchors.reshape(m, -1).astype(np.float32)
+            b -= coupling.T.astype(np.float32) @ anchors.T
+            b *= free
+            x = np.empty_like(zero)
+            x[:, m:] = 0
+            solved = factor.solve(np.ascontiguousarray(b[order]))
+            x[order, :m] = solved
+            x[held_rows, :m] = anchors.T
+            history = [x, *history[:-1]]
+            if (n + 1) % substeps == 0:
+                yield x
+
+    def _factor(self, x: Array, inertia: Array) -> tuple[BlockFactor, Array]:
+        assembly = self.simulator.assembly
+        _, exact, coupling = assembly.hessian(x, self.stiffness, convex=False)
+        band = exact.copy()
+        assembly.add_diagonal(band, inertia)
+        factor = BandedCholesky.factorise(band)
+        if factor is None:
+            # A point on the way through a buckling: the smallest share of the convex Hessian that helps.
+            _, convex, _ = assembly.hessian(x, self.stiffness, convex=True)
+            for share in (0.1, 0.25, 0.5, 0.75, 1.0):
+                band = (1 - share) * exact + share * convex
+                assembly.add_diagonal(band, inertia)
+                factor = BandedCholesky.factorise(band)
+                if factor is not None:
+                    break
+            else:
+                raise FloatingPointError("the Hessian is not positive definite without its indefinite parts")
+        return BlockFactor(factor), coupling

@@ -1,0 +1,317 @@
+"""Multiple shooting: short simulations whose start, anchors and smooth forces are free, stiffness and wind shared.
+
+Long rollouts amplify every error, so the clip is cut into windows. Within one, the cloth moves by its own
+equations; what may differ from them is a force field with few, smooth modes in space and time, whose size is
+itself a question (Kennedy and O'Hagan 2001 call it the discrepancy). Gauss-Newton with an explicit Jacobian.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import chain
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from toile.cloth.material import Material
+from toile.cloth.state import State
+from toile.diagnosis.sensitivities import Columns, KnownMotion, StepForces
+from toile.diagnosis.tracked import Tracked
+from toile.simulators.base import StepStatus
+from toile.simulators.linearizable import LinearizableSimulator
+from toile.simulators.rollout import rollout
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ShootingSettings:
+    """Windows and priors.
+
+    Attributes:
+        window: frames of a window.
+        modes: cosine modes along each side, for the state at a window's start and for the forces.
+        force_knot: frames between knots of the force.
+        anchor_knot: frames between knots of the anchors.
+        start_position: deviation of each mode of the start's positions [m].
+        start_velocity: of its velocities [m/s].
+        anchor: of the anchors at a knot [m].
+        stiffness: of log Y, S, B.
+        wind: of each horizontal component [m/s²].
+        force: of each mode of the force per mass while the base is fitted [m/s²].
+        trust: in the image term, whose errors are not independent from point to point; 1 if they were.
+        sweeps: ways through the clip, window by window.
+        iterations: per window of a sweep.
+        passes: over the whole clip at most.
+    """
+
+    window: int = 8
+    modes: int = 4
+    force_knot: int = 4
+    anchor_knot: int = 2
+    start_position: float = 0.004
+    start_velocity: float = 0.15
+    anchor: float = 0.01
+    stiffness: float = 1.0
+    wind: float = 2.0
+    force: float = 0.5
+    trust: float = 0.01
+    sweeps: int = 2
+    iterations: int = 4
+    passes: int = 3
+
+
+@dataclass(frozen=True)
+class Base:
+    """Shared unknowns: stiffnesses in SI units and constant wind.
+
+    Attributes:
+        stiffness: (3,) Y [N/m], S, B [N·m].
+        wind: (2,) along the two horizontal directions [m/s²].
+    """
+
+    stiffness: Array
+    wind: Array
+
+
+@dataclass
+class WindowMotion:
+    """A window's unknowns and the motion they give.
+
+    Attributes:
+        first, last: frames.
+        reference: state at ``first`` that the offsets refer to.
+        white: local unknowns in units of their deviations (n_local,).
+        positions: of all sub-steps [(last - first) substeps + 1, N, 3].
+        start, end: states at ``first`` and ``last`` as simulated.
+        converged: whether every step did.
+    """
+
+    first: int
+    last: int
+    reference: State
+    white: Array
+    positions: Array = field(default_factory=lambda: np.zeros(0))
+    start: State | None = None
+    end: State | None = None
+    converged: bool = True
+
+
+def cosine_modes(grid: tuple[int, int], n: int) -> Array:
+    """n² smooth modes (n², N) of unit mean square on a grid, the constant first."""
+    i = (np.arange(grid[0]) + 0.5) / grid[0]
+    j = (np.arange(grid[1]) + 0.5) / grid[1]
+    scale = np.where(np.arange(n) > 0, np.sqrt(2), 1.0)
+    a = scale[:, None] * np.cos(np.pi * np.arange(n)[:, None] * i)
+    b = scale[:, None] * np.cos(np.pi * np.arange(n)[:, None] * j)
+    return (a[:, None, :, None] * b[None, :, None, :]).reshape(n * n, -1)
+
+
+def hats(times: Array, spacing: float, n: int) -> Array:
+    """Piecewise linear hat functions (T, n) with knots 0, spacing, 2 spacing, ... at times (T,)."""
+    return np.clip(1 - np.abs(times[:, None] / spacing - np.arange(n)), 0, None)
+
+
+class Shooting:
+    """The problem of one clip.
+
+    Args:
+        simulator: cloth, sub-step and integrator.
+        substeps: per frame.
+        gravity: (3,) [m/s²].
+        horizontal: (2, 3) unit vectors orthogonal to gravity.
+        grid: (H, W).
+        anchors: tracked held positions (F, n_held, 3) [m].
+        tracked: see Tracked.
+        settings: see ShootingSettings.
+    """
+
+    def __init__(
+        self,
+        simulator: LinearizableSimulator,
+        substeps: int,
+        gravity: Array,
+        horizontal: Array,
+        grid: tuple[int, int],
+        anchors: Array,
+        tracked: Tracked,
+        settings: ShootingSettings,
+    ) -> None:
+        self.simulator = simulator
+        self.substeps = substeps
+        self.gravity = gravity
+        self.horizontal = horizontal
+        self.grid = grid
+        self.anchors = anchors
+        self.tracked = tracked
+        self.weight = settings.trust
+        self.settings = settings
+        self.masses = simulator.cloth.masses.numpy()
+        self.free = simulator.assembly.free
+        modes = cosine_modes(grid, settings.modes)
+        eye = np.eye(3)
+        self.fields = (modes[:, None, :, None] * eye[None, :, None, :]).reshape(-1, len(self.masses), 3)
+        self.fields = self.fields * self.free
+        self.n_fields = len(self.fields)
+        self.n_held = len(simulator.cloth.held)
+
+    # The layout of a window's local unknowns: [start positions | start velocities | anchors | forces].
+
+    def n_knots(self, n_frames: int, spacing: int) -> int:
+        """Knots that cover a window of n_frames intervals."""
+        return -(-n_frames // spacing) + 1
+
+    def layout(self, n_frames: int) -> tuple[int, int, int]:
+        """Offsets of velocities... of anchors, forces, and the number of local unknowns."""
+        anchors = 2 * self.n_fields
+        forces = anchors + self.n_knots(n_frames, self.settings.anchor_knot) * self.n_held * 3
+        return anchors, forces, forces + self.n_knots(n_frames, self.settings.force_knot) * self.n_fields
+
+    def deviations(self, n_frames: int, force: float) -> Array:
+        """Prior standard deviations of the local unknowns' columns."""
+        anchors, forces, total = self.layout(n_frames)
+        out = np.empty(total)
+        out[: self.n_fields] = self.settings.start_position
+        out[self.n_fields : anchors] = self.settings.start_velocity
+        out[anchors:forces] = self.settings.anchor
+        out[forces:] = force
+        return out
+
+    def local(self, window: WindowMotion, white: Array) -> tuple[State, Array, Array]:
+        """Start state, held positions (n + 1, n_held, 3) and force per mass (n, N, 3) of local unknowns."""
+        n = window.last - window.first
+        oa, of, total = self.layout(n)
+        values = white * self.deviations(n, self.settings.force)
+        x0 = np.tensordot(values[: self.n_fields], self.fields, 1)
+        v0 = np.tensordot(values[self.n_fields : oa], self.fields, 1)
+        knots = hats(np.arange(n + 1.0), self.settings.anchor_knot, self.n_knots(n, self.settings.anchor_knot))
+        moved = (knots @ values[oa:of].reshape(knots.shape[1], -1)).reshape(n + 1, -1, 3)
+        anchors = self.anchors[window.first : window.last + 1] + moved
+        knots = hats(np.arange(n) + 0.5, self.settings.force_knot, self.n_knots(n, self.settings.force_knot))
+        force = np.tensordot(knots @ values[of:].reshape(knots.shape[1], -1), self.fields, 1)
+        ref = window.reference
+        h = self.simulator.time_step
+        held = self.simulator.assembly.held
+        positions = ref.positions[0].numpy() + x0
+        positions[held] = anchors[0]
+        past = ref.past[0].numpy().copy()
+        for k in range(len(past)):
+            past[k] += x0 - (k + 1) * h * v0
+        state = State(
+            torch.from_numpy(positions)[None],
+            ref.velocities + torch.from_numpy(v0)[None],
+            torch.from_numpy(past)[None],
+            ref.steps,
+        )
+        return state, anchors, force
+
+    def simulate(self, window: WindowMotion, white: Array, base: Base) -> WindowMotion:
+        """The same window with other unknowns, simulated."""
+        state, anchors, force = self.local(window, white)
+        acceleration = self.gravity + base.wind @ self.horizontal + force
+        k = torch.from_numpy(base.stiffness)[:, None]
+        warm = None
+        if len(window.positions):
+            warm = torch.from_numpy(window.positions)[None]
+        motion = rollout(
+            self.simulator,
+            state,
+            Material(k[0], k[1], k[2]),
+            torch.from_numpy(self.masses[:, None] * acceleration)[None],
+            torch.from_numpy(anchors)[None],
+            self.substeps,
+            warm,
+            throw=False,
+        )
+        good = all(s.status[0] is StepStatus.CONVERGED for s in motion.steps)
+        return replace(
+            window,
+            white=white,
+            positions=motion.all_positions[0].numpy(),
+            start=state,
+            end=motion.steps[-1].state,
+            converged=good,
+        )
+
+    def cost(self, window: WindowMotion) -> float:
+        """Negative log-posterior of a window's images and local unknowns, up to a constant."""
+        frames = window.positions[:: self.substeps]
+        image = sum(self.tracked.cost(window.first + i, x) for i, x in enumerate(frames))
+        return self.weight * image + 0.5 * float(window.white @ window.white)
+
+    def normal(
+        self,
+        window: WindowMotion,
+        base: Base,
+        shared: Callable[[StepForces], Array],
+        seen: Callable[[int, Array], Array],
+        n_shared: int,
+    ) -> tuple[Array, Array]:
+        """Gauss-Newton matrix and gradient of the image term over [shared | local white at force=1].
+
+        Args:
+            window: simulated.
+            base: with which it was.
+            shared: force columns (n, N, 3) of a sub-step, the first n of the shared ones.
+            seen: apparent displacements (m, N, 3) [m] in a frame at given positions, the last m of them.
+            n_shared: n + m.
+        """
+        n = window.last - window.first
+        oa, of, total = self.layout(n)
+        sub = self.substeps
+        R = n_shared + total
+        unit = self.deviations(n, 1.0)
+        N = len(self.masses)
+        start, speed = np.zeros((R, N, 3)), np.zeros((R, N, 3))
+        a, b = n_shared, n_shared + self.n_fields
+        start[a:b] = self.fields * unit[0]
+        speed[b : b + self.n_fields] = self.fields * unit[self.n_fields]
+        held = self.simulator.assembly.held
+        anchor = np.eye(self.n_held * 3).reshape(-1, self.n_held, 3) * self.settings.anchor
+        na = self.n_knots(n, self.settings.anchor_knot)
+        nf = self.n_knots(n, self.settings.force_knot)
+        start[n_shared + oa : n_shared + oa + self.n_held * 3, held] = anchor
+        steps = np.arange(n * sub)
+        anchor_hats = hats((steps + 1) / sub, self.settings.anchor_knot, na)
+        force_hats = hats(steps // sub + 0.5, self.settings.force_knot, nf)
+        weighted = self.fields * self.masses[:, None]
+        assert window.start is not None
+        motion = KnownMotion(
+            self.simulator,
+            window.positions,
+            base.stiffness,
+            window.start.past[0].numpy(),
+            window.start.steps,
+        )
+
+        def columns(step: StepForces) -> Columns:
+            f = np.zeros((R, N, 3), np.float32)
+            columns_now = shared(step)
+            f[: len(columns_now)] = columns_now
+            displaced = np.zeros((R, self.n_held, 3))
+            for q in np.flatnonzero(anchor_hats[step.index]):
+                o = n_shared + oa + q * self.n_held * 3
+                displaced[o : o + self.n_held * 3] = anchor_hats[step.index, q] * anchor
+            for q in np.flatnonzero(force_hats[step.index]):
+                o = n_shared + of + q * self.n_fields
+                f[o : o + self.n_fields] = force_hats[step.index, q] * weighted
+            return Columns(f, displaced)
+
+        G, g = np.zeros((R, R)), np.zeros(R)
+        frames = window.positions[::sub]
+        moves = chain(
+            [start.reshape(R, -1).T.astype(np.float32)], motion.tangents(0, n, sub, columns, start, speed)
+        )
+        for i, J in enumerate(moves):
+            f = window.first + i
+            apparent = seen(f, frames[i])
+            if len(apparent):
+                # The history of the motion is not changed by what is only seen.
+                J = J.copy()
+                J[:, n_shared - len(apparent) : n_shared] += apparent.reshape(len(apparent), -1).T
+            information = self.tracked.information[f]
+            G += (J.T @ (information @ J)).astype(np.float64)
+            g += J.T.astype(np.float64) @ self.tracked.slope(f, frames[i])
+        return self.weight * G, self.weight * g

@@ -1,0 +1,139 @@
+"""What the images say about the motion: positions tracked with free forces, and how sure the images are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from numpy.typing import NDArray
+from scipy import sparse
+
+from toile.diagnosis.model_grid import ModelGrid
+from toile.fitting.gauss_newton.recipe import TrackingRecipe, visible
+from toile.fitting.reconstruction import Reconstruction
+from toile.fitting.terms.image_features import contrast_features
+from toile.fitting.terms.texture_points import PointTermSettings, TexturePointTerm, grid_points
+
+Array = NDArray[np.float64]
+Single = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """A quadratic around the tracked motion that stands for the image term; N vertices of the model's grid.
+
+    Attributes:
+        positions: (F, N, 3) [m].
+        information: (F, 3N, 3N) Gauss-Newton matrices of the image term [1/m²], in units of its noise.
+        gradient: of the image term at ``positions`` (F, N, 3) [1/m], in the same units.
+        fine_positions: on the scene's grid (F, N_scene, 3) [m].
+    """
+
+    positions: Array
+    information: Single
+    gradient: Array
+    fine_positions: Array
+
+    def cost(self, frame: int, x: Array) -> float:
+        """Cost of positions x (N, 3) in a frame."""
+        away = (x - self.positions[frame]).reshape(-1)
+        return float(0.5 * away @ (self.information[frame] @ away) + self.gradient[frame].reshape(-1) @ away)
+
+    def slope(self, frame: int, x: Array) -> Array:
+        """Gradient (3N,) of it."""
+        away = (x - self.positions[frame]).reshape(-1)
+        return np.asarray(self.information[frame] @ away + self.gradient[frame].reshape(-1))
+
+    def distances(self, frames: slice, x: Array) -> Array:
+        """Root mean square distance (n,) [m] of positions (n, N, 3) to the tracked ones."""
+        away = x - self.positions[frames]
+        return np.sqrt((away**2).sum(-1).mean(-1))
+
+
+def track(
+    reconstruction: Reconstruction, recipe: TrackingRecipe, report: Callable[[int, int], None]
+) -> Array:
+    """Run the recipe; frame positions (F, N, 3) [m].
+
+    Args:
+        reconstruction: changed in place.
+        recipe: with free forces.
+        report: called with (cycle, number of cycles).
+    """
+    recipe.start(reconstruction)
+    n = recipe.n_cycles(reconstruction)
+    for index in range(n):
+        recipe.cycle(reconstruction, index)
+        report(index + 1, n)
+    motion = recipe.substep_positions()
+    assert motion is not None
+    return motion[0, :: reconstruction.substeps].numpy().copy()
+
+
+def tracked_motion(
+    reconstruction: Reconstruction,
+    positions: Array,
+    grid: ModelGrid,
+    settings: PointTermSettings,
+    seed: int,
+) -> Tracked:
+    """The image term around tracked positions (F, N_scene, 3), on the model's grid.
+
+    The noise of the features is what is left of them at the tracked positions.
+    """
+    scene = reconstruction.scene
+    scales = settings.blur, settings.neighbourhood
+    features = contrast_features(scene.frames, scene.masks, *scales)
+    reference = contrast_features(settings.reference(reconstruction)[None], scene.masks[:1], *scales)[0]
+    points = grid_points(scene.grid, settings.per_side, 1.0, seed)
+    term = TexturePointTerm(
+        features, reference, scene.camera, points, reconstruction.template.numpy(), settings
+    )
+    seen = visible(reconstruction, points, positions)
+    value = term.evaluate(positions, 0, seen, derivatives=True)
+    # ½ Σ w |r|² / δ² over three channels is the number of points times 3/2 σ² / δ².
+    weight = settings.colour_weight / term.n_points
+    variance = 2 * value.colour[1:] / (3 * weight * np.maximum(seen.sum(1)[1:], 1))
+    scale = 1 / max(float(np.median(variance)), 1e-6)
+    P, N = term.n_points, positions.shape[1]
+    rows = np.repeat(np.arange(P), 4)
+    at_points = sparse.coo_matrix((points.weights.reshape(-1), (rows, points.vertices.reshape(-1))), (P, N))
+    at_points = at_points.tocsr().astype(np.float32)
+    prolong = grid.prolong.astype(np.float32)
+    same = prolong.shape[0] == prolong.shape[1]
+    model = np.einsum("cn,fnd->fcd", grid.restrict, positions)
+    n = prolong.shape[1]
+    information = np.zeros((len(positions), n, 3, n, 3), np.float32)
+    gradient = np.empty_like(model)
+    for f in range(len(positions)):
+        # Where the coarse motion cannot follow the fine one, the term has its slope.
+        off = (grid.prolong @ model[f] - positions[f]).astype(np.float32)
+        fine = value.gradient[f].copy()
+        for c in range(3):
+            for d in range(c, 3):
+                weights = sparse.diags(value.matrices[f, :, c, d].astype(np.float32))
+                block = (at_points.T @ weights @ at_points).tocsr()
+                coarse = block.toarray() if same else prolong.T @ (block @ prolong)
+                information[f, :, c, :, d] = coarse
+                information[f, :, d, :, c] = coarse.T
+                fine[:, c] += block @ off[:, d]
+                if c != d:
+                    fine[:, d] += block.T @ off[:, c]
+        gradient[f] = grid.prolong.T @ fine
+    return Tracked(
+        model, scale * information.reshape(len(positions), 3 * n, 3 * n), scale * gradient, positions
+    )
+
+
+def without_calibration(recipe: TrackingRecipe) -> TrackingRecipe:
+    """The recipe's last stage alone: stiffness is the diagnosis' own business."""
+    return TrackingRecipe({"track": recipe.stages[-1]})
+
+
+def point_settings(recipe: TrackingRecipe) -> PointTermSettings:
+    """Image term of the last stage."""
+    settings = recipe.stages[-1].term
+    assert isinstance(settings, PointTermSettings)
+    return replace(settings)

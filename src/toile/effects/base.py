@@ -1,0 +1,226 @@
+"""What an effect is: a few named numbers and exactly one hook through which they act.
+
+Generator, fit and diagnosis use the same interface. An effect is immutable; ``with_values`` gives the same
+effect with other numbers. At ``values = 0`` of its strengths it is the identity, bit for bit: hooks return
+their argument itself.
+"""
+
+from __future__ import annotations
+
+import copy
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from typing import ClassVar, Self
+
+import torch
+from torch import Tensor
+
+from toile.cloth.cloth import Cloth
+from toile.errors import InputError
+from toile.geometry.camera import Camera
+from toile.simulators.step_terms import ElementTerm, VertexTerm
+
+
+class Stage(Enum):
+    """Where along the way from forces to pixels an effect acts."""
+
+    NUMERICS = "numerics"
+    ACTUATION = "actuation"
+    MECHANICS = "mechanics"
+    CAMERA = "camera"
+    APPEARANCE = "appearance"
+    OBSERVATION = "observation"
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of an effect.
+
+    Attributes:
+        name: unique within the effect.
+        unit: SI, "1" for pure numbers.
+        low, high: bounds.
+        scale: typical magnitude: standard deviation of the Gaussian prior around 0.
+        doc: what it is.
+    """
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    scale: float
+    doc: str
+
+
+class Effect(ABC):
+    """One physical or optical effect.
+
+    Args:
+        values: parameters by name; those left out are 0.
+
+    Attributes:
+        NAME: in the catalogue and of the configuration file.
+        STAGE: see Stage.
+        PARAMETERS: all of them are strengths: the effect does nothing where all are 0.
+        SOURCE: where the model is from.
+        values: (n_parameters,) float64, in the order of ``parameters``; may require gradients.
+    """
+
+    NAME: ClassVar[str]
+    STAGE: ClassVar[Stage]
+    PARAMETERS: ClassVar[tuple[Parameter, ...]]
+    SOURCE: ClassVar[str]
+
+    def __init__(self, values: Mapping[str, float] | None = None) -> None:
+        values = dict(values or {})
+        names = [parameter.name for parameter in self.parameters]
+        for name in values:
+            if name not in names:
+                raise InputError(
+                    f"{self.NAME} has no such parameter",
+                    where=f"effect={self.NAME}",
+                    expected=", ".join(names),
+                    got=name,
+                )
+        for parameter in self.parameters:
+            value = values.get(parameter.name, 0.0)
+            if not parameter.low <= value <= parameter.high:
+                raise InputError(
+                    f"{self.NAME}: {parameter.name} is out of bounds",
+                    where=f"effect={self.NAME}",
+                    expected=f"{parameter.low:g} to {parameter.high:g} {parameter.unit}",
+                    got=f"{value:g}",
+                )
+        self.values = torch.tensor([values.get(name, 0.0) for name in names], dtype=torch.float64)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """PARAMETERS, or as many of their kind as this instance has."""
+        return self.PARAMETERS
+
+    def with_values(self, values: Tensor) -> Self:
+        """The same effect with other numbers (n_parameters,), which may require gradients."""
+        if values.shape != (len(self.parameters),):
+            raise ValueError(f"values: expected ({len(self.parameters)},), got {tuple(values.shape)}")
+        other = copy.copy(self)
+        other.values = values
+        return other
+
+    def value(self, name: str) -> Tensor:
+        """One parameter, ()."""
+        return self.values[[parameter.name for parameter in self.parameters].index(name)]
+
+    @property
+    def is_identity(self) -> bool:
+        """Whether all values are exactly 0."""
+        return not bool(self.values.detach().any())
+
+    @property
+    def is_active(self) -> bool:
+        """Whether it does anything, or derivatives say what it would do."""
+        return self.values.requires_grad or not self.is_identity
+
+    @property
+    def scales(self) -> Tensor:
+        """Prior standard deviations (n_parameters,)."""
+        return torch.tensor([parameter.scale for parameter in self.parameters], dtype=torch.float64)
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What effects outside the step may know of a clip.
+
+    Attributes:
+        cloth: see Cloth; N vertices on a grid.
+        cloth_size: rest length of the sides along axis 0 and 1 [m].
+        gravity: (3,) [m/s²].
+        fps: frames per second.
+        n_frames: F.
+    """
+
+    cloth: Cloth
+    cloth_size: tuple[float, float]
+    gravity: Tensor
+    fps: float
+    n_frames: int
+
+    def frame_times(self) -> Tensor:
+        """Times of the frames (F,) [s]."""
+        return torch.arange(self.n_frames, dtype=torch.float64) / self.fps
+
+
+class VertexEffect(Effect, VertexTerm):
+    """Acts within a step through a potential of every vertex (drag, contact, following forces)."""
+
+
+class ElementEffect(Effect, ElementTerm):
+    """Acts within a step through stiffness factors and rest shapes (damping, stiffening, anisotropy)."""
+
+
+class ForceEffect(Effect):
+    """Acts through an acceleration that does not depend on the motion (gusts, tilted gravity)."""
+
+    @abstractmethod
+    def acceleration(self, times: Tensor, around: Surroundings) -> Tensor:
+        """Acceleration (T, N or 1, 3) [m/s²] at times (T,) [s], beside gravity and wind."""
+
+
+class MassEffect(Effect):
+    """Acts through the vertex masses."""
+
+    @abstractmethod
+    def masses(self, masses: Tensor, around: Surroundings) -> Tensor:
+        """Masses (N,) [kg] for nominal masses (N,)."""
+
+
+class AnchorEffect(Effect):
+    """Acts through the motion of the held vertices."""
+
+    @abstractmethod
+    def anchors(self, anchors: Tensor, around: Surroundings) -> Tensor:
+        """Held positions (F, n_held, 3) [m] for nominal ones."""
+
+
+class TimeEffect(Effect):
+    """Acts through the time between two frames."""
+
+    @abstractmethod
+    def frame_interval(self, interval: Tensor) -> Tensor:
+        """True time between frames () [s] for the nominal one."""
+
+
+class CameraEffect(Effect):
+    """Acts on where a point is seen."""
+
+    @abstractmethod
+    def pixels(self, pixels: Tensor, camera: Camera) -> Tensor:
+        """Where a point is seen (..., 2) [px] that the nominal camera projects to ``pixels``."""
+
+
+class BrightnessEffect(Effect):
+    """Acts on how bright a surface point is seen."""
+
+    @abstractmethod
+    def brightness(self, normals: Tensor, reference: Tensor) -> Tensor:
+        """Factor on the colour (...,) for unit normals (..., 3), relative to the normals of frame 0.
+
+        Normals point towards the camera; at frame 0 the factor is 1 as the texture is frame 0 itself.
+        """
+
+
+class ExposureEffect(Effect):
+    """Acts through the time over which a frame gathers light."""
+
+    @abstractmethod
+    def exposure(self) -> Tensor:
+        """Fraction () of the frame interval, centred on the frame."""
+
+
+class MaskEffect(Effect):
+    """Acts on the masks."""
+
+    @abstractmethod
+    def growth(self) -> Tensor:
+        """Distance () [px] by which the mask's edge is moved outwards."""

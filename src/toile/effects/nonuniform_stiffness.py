@@ -1,0 +1,41 @@
+"""Non-uniform stiffness: seams, prints, worn places."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import ClassVar
+
+import torch
+
+from toile.effects.base import ElementEffect, Parameter, Stage
+from toile.effects.modes import cosine_modes, mode_parameters
+from toile.simulators.step_terms import Elements, StepContext
+
+
+class NonuniformStiffness(ElementEffect):
+    """All three stiffnesses times exp(Σ a_m c_m) with smooth cosine modes c_m, at every element's centre."""
+
+    NAME: ClassVar[str] = "nonuniform_stiffness"
+    STAGE: ClassVar[Stage] = Stage.MECHANICS
+    PARAMETERS: ClassVar[tuple[Parameter, ...]] = mode_parameters(-3.0, 3.0, 0.5, "logarithm of stiffness")
+    SOURCE: ClassVar[str] = (
+        "Ghanem and Spanos, Stochastic Finite Elements: A Spectral Approach, 1991 (expansion of material "
+        "fields in few smooth functions; here the Laplacian's eigenmodes with free borders)"
+    )
+
+    def elements(self, elements: Elements, now: StepContext) -> Elements:
+        """See ElementTerm."""
+        if not self.is_active:
+            return elements
+        logarithm = cosine_modes(now.cloth) @ self.values
+        stencils = now.cloth.stencils
+        stretching, shearing, bending = (
+            torch.exp(logarithm[index].mean(-1))
+            for index in (stencils.edges, stencils.corners, stencils.straights)
+        )
+        return replace(
+            elements,
+            stretching=elements.stretching * stretching,
+            shearing=elements.shearing * shearing,
+            bending=elements.bending * bending,
+        )

@@ -1,0 +1,388 @@
+"""One scene of the generated reality: motion with and without its effects, film, label."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from toile.errors import InputError
+from toile.generation.reality.base_scene import BaseScene, RealitySettings, draw_base
+from toile.generation.reality.catalogue import LEVELS, reality_effect
+from toile.generation.reality.film import (
+    FilmSettings,
+    Print,
+    brightness_change,
+    film,
+    framed_camera,
+    seen_pixels,
+)
+from toile.generation.reality.interface import Measure, RealityEffect, Reference, places_on
+from toile.generation.reality.simulation import simulate_reality
+from toile.generation.refinement import coarsen, refine, refined_size
+from toile.generation.simulation import Sheet
+from toile.generation.starting_point import StartingPoint, settled_sheet, starting_point
+from toile.geometry.camera import Camera
+from toile.scenes.scene import Scene
+from toile.simulators.base import SimulationError
+
+_log = logging.getLogger(__name__)
+
+_SMALLEST_SHARES = (0.6,) * 4 + (0.3,) * 4
+"""Of the gap that was asked for, by attempt; with less, another scene is drawn. Labels tell the true size."""
+
+_NEAR_ENOUGH = math.log(1.4)
+"""Between a gap on the simulated grid and the one asked for."""
+
+
+@dataclass(frozen=True)
+class SceneRequest:
+    """What one scene shall be.
+
+    Attributes:
+        name: opaque.
+        effects: (name, level) pairs, level one of LEVELS; () for a scene without any effect.
+        seed: of everything random.
+    """
+
+    name: str
+    effects: tuple[tuple[str, str], ...]
+    seed: int
+
+
+@dataclass(frozen=True)
+class MadeScene:
+    """A scene and what must be kept from those who diagnose it.
+
+    Attributes:
+        scene: without ground truth.
+        label: JSON values.
+        vertices: the truth (F, H, W, 3) [m], float64.
+        twin: the same clip without its effects, (F, H, W, 3) [m].
+    """
+
+    scene: Scene
+    label: dict[str, Any]
+    vertices: Tensor
+    twin: Tensor
+
+
+def make_scene(setup: RealitySettings, request: SceneRequest) -> MadeScene:
+    """Make one scene; the same settings and request give the same scene, bit for bit.
+
+    The base scene (material, wind, motion of the corners, print, camera, noise) is drawn from a stream of its
+    own, whatever the effects. Where a base cannot be simulated, or allows no gap of the size asked for, the
+    next one is drawn.
+
+    Raises:
+        InputError: an unknown effect or level, or data that are not there.
+        SimulationError: no scene after several draws.
+    """
+    for name, level in request.effects:
+        reality_effect(name)
+        if level not in LEVELS:
+            raise InputError("No such level", where="effects", expected=", ".join(LEVELS), got=level)
+    failure = "?"
+    for attempt in range(len(_SMALLEST_SHARES)):
+        base = draw_base(setup, np.random.default_rng([request.seed, attempt, 1]))
+        try:
+            return _Maker(setup, base, request, attempt).make()
+        except SimulationError as error:
+            failure = str(error)
+            _log.info("scene %s, draw %d: %s", request.name, attempt, failure)
+    raise SimulationError(
+        f"no scene {request.effects} after {len(_SMALLEST_SHARES)} draws; the last: {failure}"
+    )
+
+
+class _Maker:
+    """One attempt at one scene."""
+
+    def __init__(self, setup: RealitySettings, base: BaseScene, request: SceneRequest, attempt: int) -> None:
+        self.setup, self.base, self.request = setup, base, request
+        self.settings = base.settings
+        self.attempt = attempt
+        self.rng = np.random.default_rng([request.seed, attempt, 2])
+        self.start: StartingPoint = starting_point(self.settings, base.template)
+        self.fine = settled_sheet(self.settings, self.start)
+        pose = coarsen(self.fine.pose, self.settings.refinement)
+        self.coarse = Sheet.of(
+            pose,
+            self.start.cloth_size,
+            self.settings.areal_density,
+            self.start.held,
+            self.settings.material(self.start.cloth_size),
+        )
+        self.coarse_twin = self.run(self.coarse, (), setup.coarse_substeps)[:: setup.coarse_substeps]
+        self.reference = Reference(
+            motion=self.coarse_twin,
+            cloth_size=self.start.cloth_size,
+            gravity=torch.tensor(self.settings.gravity, dtype=torch.float64),
+            fps=self.settings.fps,
+            held=self.start.held,
+        )
+
+    def run(self, sheet: Sheet, effects: Sequence[RealityEffect], substeps: int) -> Tensor:
+        """Simulate; every sub-step."""
+        s = self.settings
+        return simulate_reality(
+            sheet,
+            effects,
+            held_motion=s.held_motion,
+            gravity=torch.tensor(s.gravity, dtype=torch.float64),
+            wind=torch.tensor(s.wind, dtype=torch.float64),
+            n_frames=s.n_frames,
+            fps=s.fps,
+            substeps=substeps,
+            newton=s.newton,
+        )
+
+    def make(self) -> MadeScene:
+        """The scene.
+
+        Raises:
+            SimulationError: it cannot be simulated, or no strength makes the gap that was asked for.
+        """
+        setup, settings = self.setup, self.settings
+        fine_twin = self.run(self.fine, (), settings.substeps)
+        share = _last_third(
+            coarsen(fine_twin[:: settings.substeps], settings.refinement),
+            self.coarse_twin,
+            self.reference.width,
+        )
+        if share > setup.largest_grid_share:
+            raise SimulationError(f"the fit's grid strays by {share:.2g} % without any effect")
+        effects = tuple(self._of_level(name, level) for name, level in self.request.effects)
+        motion = fine_twin
+        if any(_moves(e) for e in effects):
+            motion = self.run(self.fine, effects, settings.substeps)
+        if len(effects) == 1 and _moves(effects[0]):
+            effects, motion = self._corrected(effects[0], motion, fine_twin)
+        factor = settings.refinement
+        truth = coarsen(motion[:: settings.substeps], factor)
+        twin = coarsen(fine_twin[:: settings.substeps], factor)
+        camera = framed_camera(self.start.camera, twin, setup.image_side)
+        self._check_in_view(seen_pixels(motion[:: settings.substeps], camera, effects), camera)
+        frames, masks = film(
+            FilmSettings(
+                settings.supersampling, setup.blur_samples, settings.blur, settings.noise, settings.seed
+            ),
+            camera,
+            self._print(),
+            motion,
+            settings.substeps,
+            effects,
+        )
+        size = torch.tensor([camera.width, camera.height], dtype=torch.float64)
+        coordinates = (seen_pixels(truth[0], camera, effects) / size).clamp(0, 1)
+        scene = Scene(
+            name=self.request.name,
+            frames=frames,
+            masks=masks,
+            camera=camera,
+            texture=frames[0],
+            texture_coordinates=coordinates.float(),
+            template=truth[0],
+            cloth_size=self.start.cloth_size,
+            gravity=torch.tensor(settings.gravity, dtype=torch.float64),
+            fps=settings.fps,
+            held_vertices=self.start.held,
+            original_size=(camera.height, camera.width),
+        )
+        return MadeScene(scene, self._label(effects, truth, twin), truth, twin)
+
+    def _of_level(self, name: str, level: str) -> RealityEffect:
+        """An effect with the strength at which it is as large as the level says."""
+        kind = reality_effect(name)
+        effect = kind(self.rng, self.reference)
+        target = kind.LEVELS[LEVELS.index(level)]
+        if kind.MEASURE in (Measure.EXPOSURE, Measure.EDGE, Measure.COVER):
+            return effect.scaled(target / (100 if kind.MEASURE is Measure.EXPOSURE else 1))
+        size: Callable[[RealityEffect], float] = {
+            Measure.MOTION: self._motion_gap,
+            Measure.PIXELS: self._pixel_gap,
+            Measure.BRIGHTNESS: lambda e: brightness_change(e, self.coarse_twin),
+        }[kind.MEASURE]
+        found, reached = strength_of(lambda s: size(effect.scaled(s)), target, kind.LIMIT)
+        if reached < _SMALLEST_SHARES[self.attempt] * target:
+            raise SimulationError(f"{name} reaches {reached:.2g} of {target:.2g} % here")
+        return effect.scaled(found)
+
+    def _corrected(
+        self, effect: RealityEffect, motion: Tensor, twin: Tensor
+    ) -> tuple[tuple[RealityEffect, ...], Tensor]:
+        """One more step towards the level, where the fine grid answers otherwise than the fit's."""
+        substeps, width = self.settings.substeps, self.reference.width
+        target = effect.LEVELS[LEVELS.index(self.request.effects[0][1])]
+        reached = _last_third(motion[::substeps], twin[::substeps], width)
+        ratio = float(np.clip(target / max(reached, 1e-6), 0.4, 2.5))
+        strength = min(effect.strength * ratio, effect.LIMIT)
+        if abs(math.log(ratio)) < _NEAR_ENOUGH or strength == effect.strength:
+            return (effect,), motion
+        other = effect.scaled(strength)
+        try:
+            other_motion = self.run(self.fine, (other,), substeps)
+        except SimulationError:
+            return (effect,), motion
+        other_reached = _last_third(other_motion[::substeps], twin[::substeps], width)
+        if abs(math.log(max(other_reached, 1e-6) / target)) < abs(math.log(max(reached, 1e-6) / target)):
+            return (other,), other_motion
+        return (effect,), motion
+
+    def _motion_gap(self, effect: RealityEffect) -> float:
+        """Mean displacement against the twin in the last third, on the fit's grid [% of the width]."""
+        steps = self.setup.coarse_substeps
+        motion = self.run(self.coarse, (effect,), steps)[::steps]
+        return _last_third(motion, self.coarse_twin, self.reference.width)
+
+    def _pixel_gap(self, effect: RealityEffect) -> float:
+        """Mean displacement in the image [% of the cloth's width in it]."""
+        camera = framed_camera(self.start.camera, self.coarse_twin, self.setup.image_side)
+        plain = camera.project(self.coarse_twin)
+        width = float((plain[0, -1] - plain[0, 0]).norm(dim=-1).mean())
+        seen = seen_pixels(self.coarse_twin, camera, (effect,))
+        return 100 * float((seen - plain).norm(dim=-1).mean()) / width
+
+    def _print(self) -> Print:
+        """Texture and coordinates on the simulated grid."""
+        if self.base.template is not None:
+            t = self.base.template
+            return Print(t.texture, refine(t.texture_coordinates, self.settings.refinement))
+        assert self.base.texture is not None
+        u, v = (
+            torch.linspace(0, 1, n, dtype=torch.float32)
+            for n in refined_size(self.settings.grid, self.settings.refinement)
+        )
+        return Print(self.base.texture, torch.stack(torch.meshgrid(u, v, indexing="ij"), -1))
+
+    def _check_in_view(self, pixels: Tensor, camera: Camera) -> None:
+        """Raise SimulationError where more than a little of the cloth leaves the image."""
+        size = pixels.new_tensor([camera.width, camera.height])
+        outside = ((pixels < 0) | (pixels > size)).any(-1).double()
+        if float(outside.mean((1, 2)).max()) > 0.03:
+            raise SimulationError("the cloth leaves the image")
+
+    def _label(self, effects: Sequence[RealityEffect], truth: Tensor, twin: Tensor) -> dict[str, Any]:
+        width = self.reference.width
+        distance = 100 * (truth - twin).norm(dim=-1) / width
+        places = places_on(self.settings.grid)
+        times = torch.arange(self.settings.n_frames, dtype=torch.float64) / self.settings.fps
+        vertices = _joined([e.where(places) for e in effects])
+        frames = _joined([e.when(times) for e in effects])
+        names = [e.NAME for e in effects]
+        gap = _last_third(truth, twin, width)
+        grid_share = _last_third(self.coarse_twin, twin, width)
+        return {
+            "effect": "+".join(names) or "none",
+            "effects": names,
+            "levels": [level for _, level in self.request.effects],
+            "stage": effects[0].STAGE.value if effects else "none",
+            "stage_accept": sorted({s.value for e in effects for s in (e.STAGE, *e.ACCEPTED)}) or ["none"],
+            "in_catalogue": not any(e.OUTSIDE for e in effects),
+            "parameters": {e.NAME: e.parameters() for e in effects},
+            "comparable": {e.NAME: e.comparable() for e in effects},
+            "magnitude": {
+                "mean_last_third": gap,
+                "max_last_third": float(distance[len(distance) * 2 // 3 :].max()),
+                "per_frame_mean": distance.mean((1, 2)).tolist(),
+                "unit": "% of the cloth's width",
+                "alone": {e.NAME: self._alone(e, gap if len(effects) == 1 else None) for e in effects},
+            },
+            "localisation": {
+                "vertices": None if vertices is None else vertices.nonzero().flatten().tolist(),
+                "frames": None if frames is None else frames.nonzero().flatten().tolist(),
+            },
+            "grid_share": grid_share,
+            "base": self.base.describe(),
+            "generator": "reality",
+            "seed": self.request.seed,
+        }
+
+    def _alone(self, effect: RealityEffect, gap: float | None) -> dict[str, Any]:
+        """Size of one effect in what its strength is named in; of two in motion, each on the fit's grid."""
+        match effect.MEASURE:
+            case Measure.MOTION:
+                value = self._motion_gap(effect) if gap is None else gap
+            case Measure.PIXELS:
+                value = self._pixel_gap(effect)
+            case Measure.BRIGHTNESS:
+                value = brightness_change(effect, self.coarse_twin)
+            case _:
+                value = effect.strength * (100 if effect.MEASURE is Measure.EXPOSURE else 1)
+        return {"value": value, "measure": effect.MEASURE.name.lower()}
+
+
+def strength_of(
+    size: Callable[[float], float], target: float, limit: float, *, tolerance: float = 0.15, tries: int = 5
+) -> tuple[float, float]:
+    """Strength at which an effect has a given size, by secants in logarithms.
+
+    Args:
+        size: of the effect by strength; a strength that cannot be simulated counts as too large.
+        target: size to reach.
+        limit: largest strength.
+        tolerance: relative error that is good enough.
+        tries: evaluations at most.
+
+    Returns:
+        Strength and its size: the closest of those tried.
+    """
+    tried: list[tuple[float, float]] = []
+    strength, ceiling = min(1.0, 0.5 * limit), limit
+    for _ in range(tries):
+        try:
+            value = size(strength)
+        except SimulationError:
+            ceiling = 0.7 * strength
+            strength *= 0.5
+            continue
+        if not math.isfinite(value) or value <= 0:
+            value = 1e-6
+        tried.append((strength, value))
+        if abs(value / target - 1) <= tolerance:
+            break
+        slope = 1.0
+        if len(tried) > 1:
+            (s0, v0), (s1, v1) = tried[-2:]
+            if s0 != s1 and v0 != v1:
+                slope = float(np.clip(math.log(v1 / v0) / math.log(s1 / s0), 0.5, 3.0))
+        step = float(np.clip((target / value) ** (1 / slope), 1 / 8, 8))
+        following = min(strength * step, ceiling)
+        if following == strength:
+            break
+        strength = following
+    if not tried:
+        raise SimulationError("an effect cannot be simulated at any strength")
+    return min(tried, key=lambda sv: abs(math.log(sv[1] / target)))
+
+
+def _moves(effect: RealityEffect) -> bool:
+    return effect.MEASURE is Measure.MOTION
+
+
+def _last_third(motion: Tensor, twin: Tensor, width: float) -> float:
+    """Mean distance of two motions (F, H, W, 3) in the last third [% of the width]."""
+    begin = len(motion) * 2 // 3
+    return 100 * float((motion - twin)[begin:].norm(dim=-1).mean()) / width
+
+
+def _joined(masks: Sequence[Tensor | None]) -> Tensor | None:
+    """Where any acts; None where one acts everywhere, or none acts."""
+    if not masks or any(m is None for m in masks):
+        return None
+    return torch.stack([m for m in masks if m is not None]).any(0)
+
+
+def development_scene(
+    effect: str, level: str = "medium", seed: int = 0, setup: RealitySettings | None = None
+) -> MadeScene:
+    """A scene of one effect ("none" for none), for development."""
+    effects = () if effect == "none" else ((effect, level),)
+    setup = setup or RealitySettings()
+    return make_scene(setup, SceneRequest(f"{effect}_{level}_{seed}", effects, seed))

@@ -1,0 +1,357 @@
+"""Forces within a step, where the answer is known: drag, damping, contact, friction, shape and stiffness."""
+
+import math
+from itertools import pairwise
+
+import pytest
+import torch
+
+from toile.cloth.cloth import grid_cloth
+from toile.cloth.energies.bending import bending_energy
+from toile.cloth.energies.shearing import shearing_energy
+from toile.cloth.energies.stretching import stretching_energy
+from toile.cloth.material import Material
+from toile.cloth.state import State
+from toile.effects.air_drag import AirDrag
+from toile.effects.anisotropic_stiffness import AnisotropicStiffness
+from toile.effects.contact import Contact
+from toile.effects.internal_damping import InternalDamping
+from toile.effects.nonuniform_stiffness import NonuniformStiffness
+from toile.effects.obstacles import Plane
+from toile.effects.rest_curvature import RestCurvature
+from toile.effects.strain_stiffening import StrainStiffening
+from toile.geometry.mesh import grid_faces, vertex_normals
+from toile.simulators.hybrid.simulator import HybridSimulator
+from toile.simulators.implicit.integrators import BDF2, BackwardEuler
+from toile.simulators.implicit.newton import NewtonSettings
+from toile.simulators.implicit.simulator import ImplicitSimulator
+from toile.simulators.rollout import rollout
+from toile.simulators.step_terms import StepContext
+
+TIGHT = NewtonSettings(tolerance=1e-11)
+CLOSE = NewtonSettings(tolerance=1e-8)
+
+
+def one(value):
+    return torch.tensor([value], dtype=torch.float64)
+
+
+MATERIAL = Material(one(80.0), one(3e-4), one(1e-5))
+
+
+def vector(*values):
+    return torch.tensor(values, dtype=torch.float64)
+
+
+def flat(grid, size):
+    """In the plane z = 1, whose normals point to -z or +z alike; (1, N, 3)."""
+    i, j = torch.meshgrid(
+        torch.linspace(0, size[0], grid[0], dtype=torch.float64),
+        torch.linspace(0, size[1], grid[1], dtype=torch.float64),
+        indexing="ij",
+    )
+    return torch.stack((j, i, torch.ones_like(i)), -1).reshape(1, -1, 3)
+
+
+def move(cloth, x, v, h, n, acceleration, terms, integrator=None, material=MATERIAL, batch=1, newton=CLOSE):
+    simulator = ImplicitSimulator(cloth, h, integrator or BackwardEuler(), newton, terms)
+    forces = (cloth.masses[:, None] * acceleration).expand(batch, n, -1, 3)
+    anchors = x[:, None, cloth.held].expand(-1, n + 1, -1, -1)
+    state = State.start(x, v, h, simulator.n_past)
+    return rollout(simulator, state, material, forces, anchors, 1).positions
+
+
+def energy(cloth, x, v, material=MATERIAL):
+    """Kinetic and elastic energy of one scene."""
+    s = cloth.stencils
+    elastic = stretching_energy(x, s.edges, cloth.rest_lengths, material.stretching)
+    elastic = elastic + shearing_energy(x, s.corners, cloth.rest_corner_angles, material.shearing)
+    elastic = elastic + bending_energy(x, s.straights, material.bending)
+    return float(elastic + 0.5 * (cloth.masses[:, None] * v.square()).sum())
+
+
+GRID, SIZE = (5, 6), (0.2, 0.25)
+CLOTH = grid_cloth(GRID, SIZE, 0.2, ())
+
+
+def test_speed_decays_under_linear_drag():
+    """Backward Euler: v_n = v_0 / (1 + c h)^n for every vertex alike."""
+    h, c, n = 0.01, 3.0, 20
+    v = vector(0.4, -0.3, 0.2).expand(1, CLOTH.n_vertices, 3)
+    x = move(CLOTH, flat(GRID, SIZE), v, h, n, vector(0, 0, 0), [AirDrag({"linear": c})])
+    speeds = (x[:, 1:] - x[:, :-1]) / h
+    exact = v[:, None] * (1 + c * h) ** -torch.arange(1, n + 1, dtype=torch.float64)[None, :, None, None]
+    torch.testing.assert_close(speeds, exact, rtol=1e-7, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("values", "across", "along"),
+    [
+        ({"linear": 4.0}, 9.81 / 4, 9.81 / 4),
+        ({"normal": 8.0}, 9.81 / 8, math.inf),
+        ({"quadratic": 5.0}, math.sqrt(9.81 / 5), math.inf),
+    ],
+)
+def test_terminal_velocity(values, across, along):
+    for axis, expected in ((2, across), (1, along)):
+        g = vector(0, 0, 0)
+        g[axis] = 9.81
+        x = flat(GRID, SIZE)
+        x = move(CLOTH, x, 0 * x, 0.02, 250, g, [AirDrag(values)], BDF2())
+        speed = float((x[0, -1, :, axis] - x[0, -2, :, axis]).mean() / 0.02)
+        if math.isinf(expected):
+            assert speed == pytest.approx(9.81 * 249.5 * 0.02, rel=1e-2)  # edge on, nothing brakes it
+        else:
+            assert speed == pytest.approx(expected, rel=1e-6)
+
+
+def test_breathing_square_is_a_damped_oscillator():
+    """Four vertices, four edges: m ẍ = -2 Y (x + τ ẋ) for each vertex along each edge direction."""
+    cloth = grid_cloth((2, 2), (0.1, 0.1), 0.2, ())
+    y, m, tau = 80.0, float(cloth.masses[0]), 4e-4
+    x = flat((2, 2), (0.1, 0.1))
+    x = x - x.mean(1, keepdim=True)
+    stretch, h, n = 1e-3, 2e-5, 700
+    moved = x * (1 + stretch)
+    motion = move(cloth, moved, 0 * x, h, n, vector(0, 0, 0), [InternalDamping({"in_plane": tau})], BDF2())
+    strain = (motion[0, :, 1, 0] - motion[0, :, 0, 0]) / 0.1 - 1
+    t = h * torch.arange(n + 1, dtype=torch.float64)
+    omega2 = 2 * y / m
+    rate = omega2 * tau / 2
+    omega = math.sqrt(omega2 - rate**2)
+    exact = stretch * torch.exp(-rate * t) * (torch.cos(omega * t) + rate / omega * torch.sin(omega * t))
+    assert omega * t[-1] > 2 * math.pi
+    assert (strain - exact).abs().max() <= 0.01 * stretch
+    assert exact.abs()[-150:].max() <= 0.5 * stretch
+
+
+@pytest.mark.parametrize("values", [{"in_plane": 0.02}, {"bending": 0.1}, {"in_plane": 0.1, "bending": 1.0}])
+def test_energy_only_falls_with_damping(values):
+    x = flat(GRID, SIZE)
+    x = x + torch.stack((0 * x[..., 0], 0.02 * x[..., 0], 0.03 * torch.sin(20 * x[..., 1])), -1)
+    h = 2e-3
+    still = torch.zeros_like(x)
+    final = []
+    for terms in ([], [InternalDamping(values)]):
+        motion = move(CLOTH, x, still, h, 60, vector(0, 0, 0), terms)
+        energies = [energy(CLOTH, x[0], still[0])]
+        for n in range(1, 61):
+            energies.append(energy(CLOTH, motion[0, n], (motion[0, n] - motion[0, n - 1]) / h))
+        assert all(b <= a * (1 + 1e-9) for a, b in pairwise(energies))
+        final.append(energies[-1])
+    # So much damping that the cloth creeps keeps its elastic energy for longer.
+    assert (final[1] < 0.9 * final[0]) == (values.get("bending", 0.0) < 1.0)
+
+
+def test_damping_leaves_momentum_and_rest_alone():
+    terms = [InternalDamping({"in_plane": 0.1, "bending": 1.0})]
+    x = flat(GRID, SIZE)
+    v = vector(0.4, -0.3, 0.2).expand(1, CLOTH.n_vertices, 3)
+    motion = move(CLOTH, x, v, 0.01, 10, vector(0, 0, 0), terms)
+    torch.testing.assert_close(motion[:, -1], x + 0.1 * v, rtol=0, atol=1e-9)
+
+    generator = torch.Generator().manual_seed(1)
+    v = 0.5 * torch.randn(1, CLOTH.n_vertices, 3, generator=generator, dtype=torch.float64)
+    motion = move(CLOTH, x, v, 0.01, 10, vector(0, 0, 0), terms)
+    last = (motion[0, -1] - motion[0, -2]) / 0.01
+    m = CLOTH.masses[:, None]
+    torch.testing.assert_close((m * last).sum(0), (m * v[0]).sum(0), rtol=1e-7, atol=1e-11)
+    # Angular momentum: backward Euler loses some of its own, at rest axes of the order of h.
+    spin = torch.linalg.cross(motion[0, -1], m * last).sum(0)
+    free = move(CLOTH, x, v, 0.01, 10, vector(0, 0, 0), [])
+    free_spin = torch.linalg.cross(free[0, -1], m * (free[0, -1] - free[0, -2]) / 0.01).sum(0)
+    assert (spin - free_spin).norm() <= 0.05 * free_spin.norm()
+
+
+def test_damping_does_not_move_the_equilibrium():
+    cloth = grid_cloth(GRID, SIZE, 0.2, (0, 5))
+    x = flat(GRID, SIZE)
+    g = vector(0.0, 9.81, 0.5)
+    drag = AirDrag({"linear": 20.0})
+    hung = move(cloth, x, 0 * x, 0.02, 400, g, [drag])[:, -1]
+    again = move(cloth, hung, 0 * x, 0.02, 5, g, [InternalDamping({"in_plane": 0.05, "bending": 0.5})])
+    assert (again[:, -1] - hung).abs().max() <= 1e-6
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_strip_settles_to_its_natural_curvature(axis, sign):
+    """One end clamped, no gravity: an arc that turns by κ L per segment, towards the normal."""
+    n, kappa, length = 13, 8.0 * sign, 0.3
+    grid, size = ((n, 3), (length, 0.05)) if axis == 0 else ((3, n), (0.05, length))
+    index = torch.arange(3 * n).reshape(grid)
+    held = (index[:2] if axis == 0 else index[:, :2]).reshape(-1)
+    cloth = grid_cloth(grid, size, 0.2, tuple(held.tolist()))
+    material = Material(one(80.0), one(3e-4), one(3e-4))
+    x = flat(grid, size)
+    terms = [RestCurvature({f"axis_{axis}": kappa}), AirDrag({"linear": 4.0})]
+    end = move(cloth, x, 0 * x, 0.02, 400, vector(0, 0, 0), terms, material=material)[0, -1]
+    line = (end.reshape(*grid, 3)[:, 1] if axis == 0 else end.reshape(*grid, 3)[1]).diff(dim=0)
+    direction = line / line.norm(dim=-1, keepdim=True)
+    angles = torch.arccos((direction[1:] * direction[:-1]).sum(-1).clamp(max=1.0))
+    segment = length / (n - 1)
+    assert angles.tolist() == pytest.approx([8.0 * segment] * (n - 2), rel=1e-3)
+    up = float(vertex_normals(x[0], grid_faces(*grid))[0, 2])
+    assert math.copysign(1.0, float(line[-1, 2])) == sign * up
+
+
+def test_rest_curvature_pulls_without_net_force_or_torque():
+    x = flat(GRID, SIZE)[0]
+    x = x + torch.stack((0 * x[:, 0], 0 * x[:, 0], 0.03 * torch.sin(20 * x[:, 1] + 3 * x[:, 0])), -1)
+    now = StepContext(CLOTH, MATERIAL, x, 0 * x, 0.01, 0.01, x[:0])
+    term = RestCurvature({"axis_0": 5.0, "axis_1": -3.0})
+    at = x.clone().requires_grad_()
+    (forces,) = torch.autograd.grad(-term.energy(at, now).sum(), at)
+    size = forces.norm(dim=-1).sum()
+    assert size > 1e-3
+    assert forces.sum(0).norm() <= 1e-12 * size
+    # Exactly none where the cloth does not bend within its own plane.
+    torques = torch.linalg.cross(x - x.mean(0), forces)
+    assert torques.sum(0).norm() <= 1e-3 * torques.norm(dim=-1).sum()
+
+
+def test_cloth_rests_on_a_plane_as_deep_as_the_penalty_says():
+    x = flat(GRID, SIZE)
+    plane = Plane((0.0, 0.0, 1.01), (0.0, 0.0, -1.0))
+    terms = [Contact(plane, {"stiffness": 2e4}, thickness=2e-3), AirDrag({"linear": 10.0})]
+    end = move(CLOTH, x, 0 * x, 0.01, 300, vector(0, 0, 9.81), terms)[0, -1]
+    expected = 1.01 - 2e-3 + 9.81 / 2e4
+    assert end[:, 2].tolist() == pytest.approx([expected] * CLOTH.n_vertices, abs=1e-8)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3, 0.8])
+def test_cloth_on_a_slope_sticks_or_slides_as_coulomb_says(friction):
+    """Plane at 30°: it slides with g (sin α - μ cos α), or creeps below the sticking speed if μ > tan α."""
+    alpha, g, k = math.pi / 6, 9.81, 2e4
+    x = flat(GRID, SIZE)
+    plane = Plane((0.0, 0.0, 1.0), (0.0, 0.0, -1.0))
+    pull = vector(0.0, g * math.sin(alpha), g * math.cos(alpha))
+    # Where it would rest already.
+    x = x + vector(0, 0, g * math.cos(alpha) / k)
+    term = Contact(plane, {"stiffness": k, "friction": friction}, sticking_speed=0.002)
+    motion = move(CLOTH, x, 0 * x, 0.01, 40, pull, [term])
+    speed = float((motion[0, -1] - motion[0, -2])[:, 1].mean()) / 0.01
+    slope = math.sin(alpha) - friction * math.cos(alpha)
+    if slope > 0:
+        assert speed == pytest.approx(g * slope * 0.4, rel=0.01)
+    else:
+        assert 0 < speed < 0.002
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_strip_under_tension_shows_anisotropy_and_stiffening(axis):
+    """One side held, the opposite pulled: extension of every fibre by its own law."""
+    h, w = GRID
+    index = torch.arange(h * w).reshape(GRID)
+    held, pulled = (index[0], index[-1]) if axis == 0 else (index[:, 0], index[:, -1])
+    cloth = grid_cloth(GRID, SIZE, 0.2, tuple(held.tolist()))
+    x = flat(GRID, SIZE)
+    force = torch.zeros_like(x[0])
+    pull = 0.3
+    force[pulled, 1 - axis] = pull
+    soft = Material(one(80.0), one(1e-12), one(1e-5))
+
+    def strain(term):
+        forces = force / cloth.masses[:, None]
+        end = move(cloth, x, 0 * x, 0.02, 400, forces, [term, AirDrag({"linear": 20.0})], material=soft)
+        span = end[0, -1, pulled[1], 1 - axis] - end[0, -1, held[1], 1 - axis]
+        return float(span) / SIZE[axis] - 1
+
+    n = GRID[axis] - 1
+    rest = SIZE[axis] / n
+    linear = pull / 80.0 / rest
+    assert strain(AnisotropicStiffness({"stretching": 1.0})) == pytest.approx(
+        linear * math.exp(0.5 if axis else -0.5), rel=1e-4
+    )
+    e = strain(StrainStiffening({"stretching": 400.0}))
+    assert 80.0 * rest * e * (1 + 400.0 * e**2) == pytest.approx(pull, rel=1e-4)
+    assert e < 0.8 * linear
+
+
+@pytest.mark.parametrize("integrator", [BackwardEuler(), BDF2()], ids=["backward Euler", "BDF2"])
+def test_gradients_by_all_inputs_with_terms(integrator):
+    """Directional derivative through six steps against a central difference, all inputs at once."""
+    cloth = grid_cloth(GRID, SIZE, 0.2, (0, 5))
+    n, h = 6, 1 / 80
+    terms = [
+        AirDrag({"linear": 1.0, "normal": 3.0, "quadratic": 4.0}),
+        InternalDamping({"in_plane": 0.01, "bending": 0.05}),
+        StrainStiffening({"stretching": 500.0, "shearing": 10.0}),
+        NonuniformStiffness({"mode_10": 0.4, "mode_02": -0.3}),
+        RestCurvature({"axis_0": 4.0, "axis_1": -3.0}),
+        Contact(Plane((0.0, 0.0, 1.005), (0.1, 0.2, -1.0)), {"stiffness": 1e4, "friction": 0.4}),
+    ]
+    generator = torch.Generator().manual_seed(2)
+
+    def random(*shape):
+        return torch.randn(*shape, generator=generator, dtype=torch.float64)
+
+    x = flat(GRID, SIZE)
+    x = x + torch.stack((0 * x[..., 0], 0 * x[..., 0], 0.01 * torch.sin(20 * x[..., 0] + 7 * x[..., 1])), -1)
+    given = {
+        "x": x,
+        "v": 0.2 * random(1, 30, 3),
+        "Y": one(60.0),
+        "S": one(3e-4),
+        "B": one(2e-5),
+        "f": cloth.masses[:, None] * (vector(0.0, 9.81, 1.0) + random(1, n, 30, 3)),
+        "a": x[:, None, cloth.held] + 0.002 * random(1, n + 1, 2, 3).cumsum(1),
+    }
+    scales = {"x": 1e-3, "v": 0.1, "Y": 60.0, "S": 3e-4, "B": 2e-5, "f": 1e-3, "a": 1e-3}
+    along = {k: scales[k] * random(*v.shape) for k, v in given.items()}
+    weights = random(1, n + 1, 30, 3)
+    simulator = ImplicitSimulator(cloth, h, integrator, TIGHT, terms)
+
+    def loss(at):
+        state = State.start(at["x"], at["v"], h, simulator.n_past)
+        motion = rollout(simulator, state, Material(at["Y"], at["S"], at["B"]), at["f"], at["a"], 1)
+        return (weights * motion.positions).sum()
+
+    leaves = {k: v.clone().requires_grad_() for k, v in given.items()}
+    gradients = torch.autograd.grad(loss(leaves), tuple(leaves.values()))
+    slopes = {k: float((g * along[k]).sum()) for k, g in zip(given, gradients, strict=True)}
+    for name in given:
+        ahead, behind = (float(loss({**given, name: given[name] + s * 1e-4 * along[name]})) for s in (1, -1))
+        assert slopes[name] == pytest.approx((ahead - behind) / 2e-4, rel=1e-4, abs=1e-6), name
+
+
+def test_batch_with_terms_is_its_scenes_one_by_one():
+    terms = [AirDrag({"normal": 3.0}), InternalDamping({"in_plane": 0.01, "bending": 0.1})]
+    generator = torch.Generator().manual_seed(3)
+    x = flat(GRID, SIZE) + 0.002 * torch.randn(2, 30, 3, generator=generator, dtype=torch.float64)
+    v = 0.2 * torch.randn(2, 30, 3, generator=generator, dtype=torch.float64)
+    both = Material(
+        *(torch.cat((k, 2 * k)) for k in (MATERIAL.stretching, MATERIAL.shearing, MATERIAL.bending))
+    )
+
+    def run(pick):
+        material = Material(both.stretching[pick], both.shearing[pick], both.bending[pick])
+        given = x[pick].clone().requires_grad_()
+        g = vector(0, 9.81, 0)
+        motion = move(
+            CLOTH, given, v[pick], 0.01, 5, g, terms, material=material, batch=len(given), newton=TIGHT
+        )
+        (gradient,) = torch.autograd.grad(motion[:, -1].square().sum(), given)
+        return motion.detach(), gradient
+
+    together = run(slice(None))
+    for b in range(2):
+        alone = run(slice(b, b + 1))
+        for got, expected in zip(together, alone, strict=True):
+            assert torch.equal(got[b : b + 1], expected)
+
+
+def test_hybrid_simulator_takes_terms():
+    terms = [AirDrag({"normal": 3.0}), InternalDamping({"in_plane": 0.01, "bending": 0.1})]
+    cloth = grid_cloth(GRID, SIZE, 0.2, (0, 5))
+    simulator = HybridSimulator(cloth, 0.01, BDF2(), None, 30, 1e-11, terms=terms)
+    x = flat(GRID, SIZE)
+    g = vector(0.0, 9.81, 3.0)
+    state = State.start(x, 0 * x, 0.01, simulator.n_past)
+    forces = (cloth.masses[:, None] * g).expand(1, 10, -1, 3)
+    anchors = x[:, None, cloth.held].expand(-1, 11, -1, -1)
+    hybrid = rollout(simulator, state, MATERIAL, forces, anchors, 1).positions
+    implicit = move(cloth, x, 0 * x, 0.01, 10, g, terms, BDF2(), newton=TIGHT)
+    assert (hybrid - implicit).abs().max() <= 1e-9
+    plain = move(cloth, x, 0 * x, 0.01, 10, g, [], BDF2())
+    assert (plain - implicit).abs().max() >= 1e-4

@@ -1,0 +1,93 @@
+"""diagnosis.json: written and read back, and refused where it is wrong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from toile.errors import InputError
+from toile.evaluation.diagnosis_record import (
+    Alias,
+    EffectReport,
+    Estimate,
+    GapReport,
+    Protocol,
+    Shrink,
+    Verdict,
+    Where,
+)
+
+
+def report() -> GapReport:
+    return GapReport(
+        verdict=Verdict("gusts", ("gusts", "air_drag"), "actuation", 0.8, "pushed in turns", ""),
+        where=Where({"actuation": 0.7, "mechanics": 0.3}, (0.5, 2.5), "vertices.npy", {"slack": 1.0}),
+        effects=(
+            EffectReport(
+                "gusts",
+                "actuation",
+                0.8,
+                {"deviation": Estimate(1.0, 0.5, 2.0, "m/s²")},
+                Shrink("position [mm]", "frames 30 to 39", 10.0, 4.0, 0.6, 0.5, 0.7, 0.1, None),
+                Estimate(3.0, 2.0, 4.0, "%"),
+            ),
+            EffectReport("air_drag", "mechanics", 0.1),
+        ),
+        alias=Alias(("gusts", "air_drag"), ((1.0, 0.2), (0.2, 1.0)), {"gusts": 0.1, "air_drag": None}),
+        protocol=Protocol(1, (0, 1), (2,), "0.1", "air_drag"),
+    )
+
+
+def test_round_trip(tmp_path: Path) -> None:
+    path = report().write(tmp_path / "diagnosis.json")
+    assert GapReport.read(path) == report()
+
+
+def test_effects_are_sorted() -> None:
+    original = report()
+    turned = GapReport(
+        original.verdict, original.where, original.effects[::-1], original.alias, original.protocol
+    )
+    assert [e["name"] for e in turned.to_json()["effects"]] == ["gusts", "air_drag"]
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        (("verdict", "probability"), 1.2, "probability"),
+        (("verdict", "effect"), None, "text"),
+        (("where", "frames"), [float("nan")], "finite"),
+        (("alias", "matrix"), [[1.0]], "rows"),
+        (("protocol", "seed"), 1.5, "whole"),
+        (("verdict", "efect"), "gusts", "efect"),
+        (("effects", 0, "parameters", "deviation", "low"), 1.5, "between"),
+    ],
+)
+def test_mistakes_are_named(path, value, message) -> None:
+    values = report().to_json()
+    part = values
+    for key in path[:-1]:
+        part = part[key]
+    part[path[-1]] = value
+    with pytest.raises(InputError, match=message):
+        GapReport.from_json(values)
+
+
+def test_missing_key() -> None:
+    values = report().to_json()
+    del values["verdict"]["candidates"]
+    with pytest.raises(InputError, match="candidates"):
+        GapReport.from_json(values)
+
+
+def test_no_file(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="diagnosis"):
+        GapReport.read(tmp_path / "diagnosis.json")
+
+
+def test_alias_classes_are_connected() -> None:
+    matrix = ((1.0, 0.95, 0.1), (0.95, 1.0, 0.92), (0.1, 0.92, 1.0))
+    alias = Alias(("a", "b", "c"), matrix)
+    assert alias.classes(0.9) == (("a", "b", "c"),)
+    assert alias.classes(0.94) == (("a", "b"), ("c",))
