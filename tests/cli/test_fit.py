@@ -195,3 +195,48 @@ def test_ablation_on_the_command_line(toile: Toile, tmp_path: Path) -> None:
     assert trajectory.parameters["texture offset"].any()
     history = pd.read_csv(tmp_path / "run" / "history.csv")
     assert json.loads((tmp_path / "run" / "metrics.json").read_text())["fit"]["cycles"] == len(history)
+
+
+EFFECT = ("fit", "scene=swaying", "effect=[air_drag,gusts]", "fixed_effects=[gusts]", *QUICK)
+
+
+@pytest.mark.usefixtures("swaying")
+def test_a_fit_with_effects(toile: Toile, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    outcome = toile(*EFFECT, "effect.gusts.values.x_1=0.2", "hydra.run.dir=run")
+    assert outcome.status == 0, outcome.err
+    run = RunFolder(tmp_path / "run")
+    metrics = read_metrics(run)
+    assert metrics["metrics"]["chamfer"]["mean"] < 1.0
+    # The parameters alone, effects among them, reproduce the motion that the optimisation has seen.
+    assert metrics["fit"]["difference to the last cycle [mm]"] < 0.01
+    fitted = read_trajectory(run).parameters
+    assert fitted["air_drag normal [1/s]"] > 0
+    assert fitted["gusts x_1 [m/s²]"] == 0.2
+    assert "air_drag normal [1/s]" in read_history(run)
+    assert "gusts x_1 [m/s²]" not in read_history(run)
+    page = run.page.read_text(encoding="utf-8")
+    assert "air_drag normal" in page
+    with monkeypatch.context() as patch:
+        interrupt_at(2, patch)
+        assert toile(*EFFECT, "effect.gusts.values.x_1=0.2", "hydra.run.dir=again").status == 130
+    assert toile("fit", "resume=again").status == 0
+    assert identical(RunFolder(tmp_path / "again"), run)
+
+
+@pytest.mark.usefixtures("swaying")
+def test_an_identification_with_an_effect(toile: Toile, tmp_path: Path) -> None:
+    outcome = toile(
+        "fit", "scene=swaying", "optimization=identification", "effect=air_drag", *QUICK, "hydra.run.dir=run"
+    )
+    assert outcome.status == 0, outcome.err
+    run = RunFolder(tmp_path / "run")
+    assert read_metrics(run)["fit"]["difference to the last cycle [mm]"] < 0.01
+    assert not read_trajectory(run).parameters["turbulence [m/s²]"].any()
+
+
+@pytest.mark.usefixtures("swaying")
+def test_effects_of_the_image_are_refused(toile: Toile) -> None:
+    outcome = toile("fit", "scene=swaying", "effect=[air_drag,shading]")
+    assert outcome.status == 2
+    assert "A fit takes effects on the motion" in outcome.err
+    assert "air_drag" in outcome.err

@@ -20,7 +20,8 @@ from toile.generation.presets import SHAKEN, STANDARD, SWUNG
 
 HYDRAS_OWN = {"_target_", "_partial_", "_convert_", "_recursive_"}
 PLAIN = (str, int, float, bool, tuple)
-DELTAS = ("ablation", "preset", "experiment", "debug")  # groups whose point is to differ from the defaults
+# Groups and options whose point is to differ from the defaults.
+DELTAS = ("ablation", "preset", "experiment", "debug", "diagnosis=quick")
 OPTIONS = sorted(
     f"{path.parent.relative_to(CONF).as_posix()}={path.stem}"
     for path in CONF.rglob("*.yaml")

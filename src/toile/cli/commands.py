@@ -51,6 +51,11 @@ COMMANDS = {
         "make the template of your own video from a mesh, points or a flat sheet",
         "scene=<folder> surface=points surface.file=<file> camera.file=<file>",
     ),
+    "diagnose": Command(
+        "toile.cli.diagnose",
+        "say why the simulation differs from the video: which effect is missing, and how far it helps",
+        "scene=R1 diagnosis=quick",
+    ),
     "blind": Command(
         "toile.cli.blind",
         "check the diagnosis on scenes whose labels it cannot read",

@@ -27,6 +27,7 @@ from toile.cli.resume import is_finished, last_checkpoint
 from toile.cli.terminal import print_evaluation, print_path
 from toile.errors import InputError
 from toile.evaluation.evaluate import EvaluationResult, evaluate
+from toile.fitting.effects import FitEffects
 from toile.fitting.module import Cycles, FitModule
 from toile.fitting.quiet import quiet_lightning
 from toile.fitting.reconstruction import Reconstruction
@@ -146,6 +147,9 @@ def build_reconstruction(cfg: DictConfig, scene: Scene) -> Reconstruction:
         substeps_per_frame(cfg.simulator, scene.fps),
         parameters,
         instantiate(cfg.renderer),
+        FitEffects(
+            tuple((instantiate(cfg.get("effect")) or {}).values()), tuple(cfg.get("fixed_effects") or ())
+        ),
     )
 
 

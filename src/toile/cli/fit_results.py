@@ -33,6 +33,8 @@ from toile.reports.run_folder import RunFolder, write_history, write_metrics, wr
 from toile.reports.run_report import result_page, true_points
 from toile.scenes.scene import Scene
 from toile.simulators.base import SimulationError
+from toile.simulators.implicit.terms import term_forces
+from toile.simulators.step_terms import ElementTerm, StepContext
 
 _SIDE_VIEWS = 4
 
@@ -56,12 +58,17 @@ def final_trajectory(reconstruction: Reconstruction, substep_positions: Tensor |
 
 @torch.no_grad()
 def residual_force(reconstruction: Reconstruction, trajectory: Tensor) -> OutOfBalanceForce | None:
-    """Out-of-balance force of the trajectory under the fitted forces; None for fewer than three frames."""
-    scene, cloth = reconstruction.scene, reconstruction.cloth
+    """Out-of-balance force of the trajectory under the fitted forces and effects.
+
+    None for fewer than three frames. Effects within a step act as in a sub-step that ends in the frame with
+    the velocity between the frames beside it.
+    """
+    scene, given = reconstruction.scene, reconstruction.setting()
+    cloth, frame_time = given.cloth, float(given.frame_interval)
     if scene.n_frames < 3 or not bool(scene.gravity.any()):
         return None
-    p = reconstruction.parameters
-    material, s = p.material(), cloth.stencils
+    material, s = reconstruction.parameters.material(), cloth.stencils
+    elastic = not any(isinstance(term, ElementTerm) for term in given.terms)
 
     def internal_forces(positions: Tensor) -> Tensor:
         with torch.enable_grad():
@@ -73,14 +80,30 @@ def residual_force(reconstruction: Reconstruction, trajectory: Tensor) -> OutOfB
             )
             return -torch.autograd.grad(energy.sum(), x)[0].reshape(positions.shape)
 
+    def with_terms(positions: Tensor) -> Tensor:
+        if not given.terms:
+            return internal_forces(positions)
+        x = trajectory.reshape(scene.n_frames, -1, 3)
+        velocities = (x[2:] - x[:-2]) / (2 * frame_time)
+        step = frame_time / reconstruction.substeps
+        forces = []
+        for frame, (at, velocity) in enumerate(zip(x[1:-1], velocities, strict=True), 1):
+            now = StepContext(
+                cloth, material, at - step * velocity, velocity, frame * frame_time, step, at[cloth.held]
+            )
+            # Where terms change the elements, this is the elastic force, too.
+            forces.append(term_forces(given.terms, now, at).detach())
+        found = torch.stack(forces).reshape(positions.shape)
+        return found + internal_forces(positions) if elastic else found
+
     # Forces entry t acts on frame t + 1; the inner frames are 1 ... F - 2.
-    forces = p.forces(cloth.masses, reconstruction.gravity, 0, scene.n_frames - 2)
+    forces = reconstruction.forces(given, 0, scene.n_frames - 2)
     return out_of_balance_force(
         trajectory,
         masses=cloth.masses.reshape(scene.grid),
-        internal_forces=internal_forces,
+        internal_forces=with_terms,
         external_forces=forces.reshape(-1, *scene.grid, 3),
-        frame_time=1 / scene.fps,
+        frame_time=frame_time,
         gravity=scene.gravity,
         held_vertices=scene.held_vertices,
     )
@@ -97,12 +120,14 @@ def fitted_parameters(reconstruction: Reconstruction) -> dict[str, npt.ArrayLike
     }
     for name in p.STIFFNESSES:
         result[f"{name} [network units]"] = p.get_parameter(name).item()
+    result.update(reconstruction.effects.numbers())
     result["wind [m/s²]"] = p.wind.detach().numpy()
     result["turbulence [m/s²]"] = p.turbulence.detach().numpy().reshape(-1, *grid, 3)
     result["anchor motion [m]"] = p.anchor_motion.detach().numpy()
     result["held vertices"] = reconstruction.cloth.held.numpy()
     result["texture offset"] = p.texture_offset.detach().numpy().reshape(*grid, 2)
-    result["masses [kg]"] = reconstruction.cloth.masses.numpy().reshape(grid)
+    with torch.no_grad():
+        result["masses [kg]"] = reconstruction.setting().cloth.masses.numpy().reshape(grid)
     result["rest lengths [m]"] = reconstruction.cloth.rest_lengths.numpy()
     return result
 

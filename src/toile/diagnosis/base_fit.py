@@ -1,4 +1,4 @@
-"""Fit of the base model: stiffness and wind for the whole clip, starts, anchors and smooth forces by window."""
+"""Fit of the base model: stiffness and wind for the clip, starts, anchors and smooth forces by window."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_solve
 
 from toile.cloth.state import State
+from toile.diagnosis.positive import positive_factor
 from toile.diagnosis.sensitivities import StepForces
 from toile.diagnosis.shooting import Base, Shooting, WindowMotion
 
@@ -106,24 +107,28 @@ def fit_base(
     values = np.zeros(N_BASE)
     deviation = base_deviations(shooting)
     windows: list[WindowMotion] = []
-    for sweep in range(shooting.settings.sweeps):
+    for _ in range(shooting.settings.sweeps):
         windows, values = _sweep(shooting, start_positions, stiffness, values, windows, n_frames, report)
+    # What was learnt on the way holds for the windows before as well.
+    windows = [shooting.simulate(w, w.white, base_of(stiffness, values)) for w in windows]
     cost = sum(shooting.cost(w) for w in windows)
     history = [cost]
-    covariance = np.diag(deviation**2)
+    covariance: Array = np.diag(deviation**2)
     for _ in range(shooting.settings.passes):
         base = base_of(stiffness, values)
-        H, right, back = np.diag(deviation**-2), -values / deviation**2, []
+        H = np.asarray(np.diag(deviation**-2), np.float64)
+        right = np.asarray(-values / deviation**2, np.float64)
+        back = []
         for w in windows:
             G, g = shooting.normal(w, base, base_columns(shooting, base), nothing_seen, N_BASE)
             L = local_scales(shooting, w.last - w.first)
-            factor = cho_factor(np.eye(len(L)) + L[:, None] * G[N_BASE:, N_BASE:] * L)
+            factor = positive_factor(np.eye(len(L)) + L[:, None] * G[N_BASE:, N_BASE:] * L)
             C = L[:, None] * G[N_BASE:, :N_BASE]
             u = -(L * g[N_BASE:] + w.white)
-            H += G[:N_BASE, :N_BASE] - C.T @ cho_solve(factor, C)
-            right += -g[:N_BASE] - C.T @ cho_solve(factor, u)
+            H = H + np.asarray(G[:N_BASE, :N_BASE] - C.T @ cho_solve(factor, C), np.float64)
+            right = right + np.asarray(-g[:N_BASE] - C.T @ cho_solve(factor, u), np.float64)
             back.append((factor, C, u))
-        covariance = np.linalg.inv(H)
+        covariance = np.asarray(np.linalg.inv(0.5 * (H + H.T)), np.float64)
         step = covariance @ right
         # Logarithms of stiffness by at most a factor of two at once.
         step *= min(1.0, 0.7 / max(float(np.abs(step[:3]).max()), 1e-9))
@@ -132,9 +137,7 @@ def fit_base(
         for _ in range(5):
             trial = values + length * step
             moved = [
-                shooting.simulate(
-                    w, w.white + length * cho_solve(f, u - C @ step), base_of(stiffness, trial)
-                )
+                shooting.simulate(w, w.white + length * cho_solve(f, u - C @ step), base_of(stiffness, trial))
                 for w, (f, C, u) in zip(windows, back, strict=True)
             ]
             trial_cost = sum(shooting.cost(w) for w in moved)
@@ -197,11 +200,11 @@ def _sweep(
             right = -L * g
             H[N_BASE:, N_BASE:] += np.eye(len(scales))
             right[N_BASE:] -= window.white
-            inner = cho_factor(H[N_BASE:, N_BASE:])
+            inner = positive_factor(H[N_BASE:, N_BASE:])
             information = H[:N_BASE, :N_BASE] - H[:N_BASE, N_BASE:] @ cho_solve(inner, H[N_BASE:, :N_BASE])
             H[:N_BASE, :N_BASE] += prior
             right[:N_BASE] -= prior @ (values - about)
-            step = cho_solve(cho_factor(H), right)
+            step = cho_solve(positive_factor(H), right)
             length = min(1.0, 0.7 / max(float(np.abs(step[:3]).max()), 1e-9))
             for _ in range(5):
                 trial_values = values + length * step[:N_BASE]
@@ -214,7 +217,7 @@ def _sweep(
                 length *= 0.35
             else:
                 break
-            small = cost - trial_cost < 0.05 * abs(cost)
+            small = cost - trial_cost < _STALLED_WINDOW * abs(cost)
             window, values, cost = trial, trial_values, trial_cost
             if small:
                 break
@@ -229,3 +232,4 @@ def _sweep(
 
 # A pass that lowers the cost by less than this fraction is the last one.
 _STALLED = 0.01
+_STALLED_WINDOW = 0.05

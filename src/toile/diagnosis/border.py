@@ -13,19 +13,19 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, map_coordinates
-from torch.func import jacfwd
 
+from toile.diagnosis.effect_columns import derivatives
 from toile.effects.base import CameraEffect, Effect, MaskEffect
 from toile.scenes.scene import Scene
 
 Array = NDArray[np.float64]
 
-# An edge drawn in whole pixels is off by up to half of one: deviation of a distance to it [px].
-_RASTER = 0.5
+# An edge drawn in whole pixels: deviations that a distance to it may have, near and far from it [px].
+_RASTER = (0.2, 0.27, 0.37, 0.5)
 # Border points closer than this share their error [px].
 _CORRELATION = 12.0
-# A mask that is wrong is ragged too: how ragged at most [px].
-_RAGGED = 3.0
+# A mask that is wrong may be ragged, too [px].
+_RAGGED = (0.75, 1.1, 1.6, 2.4)
 
 
 @dataclass(frozen=True)
@@ -71,26 +71,22 @@ def border(scene: Scene) -> Border:
 
 def border_columns(effect: Effect, scene: Scene, at: Border) -> Array:
     """Change of the distances (n, n_parameters) per prior deviation of an effect's numbers, at zero."""
-    scales = effect.scales
-    zero = torch.full_like(scales, 1e-9)
     if isinstance(effect, MaskEffect):
 
-        def grown(white: torch.Tensor) -> torch.Tensor:
-            acting = effect.with_values(white * scales)
+        def grown(acting: Effect) -> torch.Tensor:
             assert isinstance(acting, MaskEffect)
             return acting.growth()
 
-        return np.outer(np.ones(len(at.distances)), jacfwd(grown)(zero).numpy())
+        return np.outer(np.ones(len(at.distances)), derivatives(grown, effect))
     if isinstance(effect, CameraEffect):
         pixels = torch.from_numpy(at.pixels)
 
-        def moved(white: torch.Tensor) -> torch.Tensor:
-            acting = effect.with_values(white * scales)
+        def moved(acting: Effect) -> torch.Tensor:
             assert isinstance(acting, CameraEffect)
             return acting.pixels(pixels, scene.camera)
 
-        return np.asarray(np.einsum("nk,nkp->np", at.normals, jacfwd(moved)(zero).numpy()))
-    return np.zeros((len(at.distances), len(scales)))
+        return np.asarray(np.einsum("nk,pnk->np", at.normals, derivatives(moved, effect)))
+    return np.zeros((len(at.distances), len(effect.scales)))
 
 
 @dataclass(frozen=True)
@@ -110,11 +106,11 @@ class BorderFit:
 def border_evidence(effect: Effect, scene: Scene, at: Border) -> BorderFit:
     """Evidence of an effect of the camera or the mask from the outline of frame 0."""
     share = at.independent / len(at.distances)
-    null = _log_likelihood(at.distances, _RASTER, share)
+    null = max(_log_likelihood(at.distances, noise, share) for noise in _RASTER)
     columns = border_columns(effect, scene, at)
     if not columns.any():
         return BorderFit(0.0, np.zeros(columns.shape[1]), np.eye(columns.shape[1]))
-    noises = np.geomspace(_RASTER, _RAGGED, 7) if isinstance(effect, MaskEffect) else np.array([_RASTER])
+    noises = (*_RASTER, *_RAGGED) if isinstance(effect, MaskEffect) else _RASTER
     best: BorderFit | None = None
     for noise in noises:
         H = np.eye(columns.shape[1]) + share * columns.T @ columns / noise**2
@@ -122,10 +118,10 @@ def border_evidence(effect: Effect, scene: Scene, at: Border) -> BorderFit:
         mean = covariance @ (share * columns.T @ at.distances / noise**2)
         left = _log_likelihood(at.distances - columns @ mean, noise, share)
         value = left - 0.5 * float(mean @ mean) - 0.5 * float(np.linalg.slogdet(H)[1])
-        # One of several raggednesses was chosen.
-        value -= float(np.log(len(noises)))
+        # More deviations to choose from are charged for.
+        value -= float(np.log(len(noises) / len(_RASTER)))
         if best is None or value - null > best.log_evidence:
-            best = BorderFit(value - null, mean, covariance)
+            best = BorderFit(value - null, mean, np.asarray(covariance, np.float64))
     assert best is not None
     return best
 

@@ -11,9 +11,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
-from torch.func import jacfwd
 
-from toile.effects.base import BrightnessEffect, ExposureEffect
+from toile.diagnosis.effect_columns import derivatives
+from toile.effects.base import BrightnessEffect, Effect, ExposureEffect
 from toile.fitting.gauss_newton.recipe import visible
 from toile.fitting.reconstruction import Reconstruction
 from toile.fitting.terms.texture_points import grid_points
@@ -49,7 +49,7 @@ class Colours:
 
 
 def colours(reconstruction: Reconstruction, positions: Array) -> Colours:
-    """Read the colours at tracked positions (F, N, 3)."""
+    """Read the colours at tracked positions of the first frames (F, N, 3)."""
     scene = reconstruction.scene
     n = _LATTICE
     points = grid_points(scene.grid, n, 0.0, 0)
@@ -59,10 +59,10 @@ def colours(reconstruction: Reconstruction, positions: Array) -> Colours:
     normals = vertex_normals(torch.from_numpy(positions), grid_faces(*scene.grid)).numpy()
     normals = points.positions(normals)
     normals *= -np.sign((normals * at).sum(-1, keepdims=True))
-    grey = scene.frames.numpy().mean(-1).astype(np.float64)
-    masks = scene.masks.numpy().astype(np.float64)
-    images = np.empty(shown.shape)
-    smooth = np.empty(shown.shape)
+    grey = scene.frames[: len(positions)].numpy().mean(-1).astype(np.float64)
+    masks = scene.masks[: len(positions)].numpy().astype(np.float64)
+    images: Array = np.empty(shown.shape)
+    smooth: Array = np.empty(shown.shape)
     for f in range(len(grey)):
         where = [pixels[f, :, 1] - 0.5, pixels[f, :, 0] - 0.5]
         images[f] = map_coordinates(grey[f], where, order=1, mode="nearest")
@@ -80,8 +80,10 @@ def colours(reconstruction: Reconstruction, positions: Array) -> Colours:
     brightness = np.where(seen > 0.5, np.log(np.maximum(now, 1e-3) / np.maximum(first, 1e-3)), 0.0)
     patch_normals = patch(normals).mean((2, 4)).reshape(len(grey), -1, 3)
     patch_normals /= np.maximum(np.linalg.norm(patch_normals, axis=-1, keepdims=True), 1e-9)
-    images = np.where(shown, images, np.nan).reshape(-1, n, n)
-    return Colours(brightness, np.where(seen > 0.5, seen, 0), patch_normals, images, pixels.reshape(-1, n, n, 2))
+    lattice = np.where(shown, images, np.nan).reshape(-1, n, n)
+    return Colours(
+        brightness, np.where(seen > 0.5, seen, 0), patch_normals, lattice, pixels.reshape(-1, n, n, 2)
+    )
 
 
 @dataclass(frozen=True)
@@ -112,17 +114,17 @@ def brightness_evidence(effect: BrightnessEffect, seen: Colours) -> ColourFit:
     normals = torch.from_numpy(seen.normals)
     reference = normals[:1].expand_as(normals)
 
-    def factor(white: torch.Tensor) -> torch.Tensor:
-        return effect.with_values(white * scales).brightness(normals, reference).log()
+    def factor(acting: Effect) -> torch.Tensor:
+        assert isinstance(acting, BrightnessEffect)
+        return acting.brightness(normals, reference).log()
 
-    fixed = jacfwd(factor)(torch.full_like(scales, 1e-9)).numpy()
+    fixed: Array = np.moveaxis(derivatives(factor, effect), 0, -1)
     weights = seen.seen / _BRIGHTNESS_NOISE**2 / _SHARED_ERROR
     F = len(normals)
     turning = [fixed]
     for k in (1, 2):
         turning.append(seen.normals * np.sin(0.5 * np.pi * k * np.arange(F) / max(F - 1, 1))[:, None, None])
     y = seen.brightness
-    # Whatever is neither noise nor light is of unknown size; it is charged to both hypotheses alike.
     best: ColourFit | None = None
     for columns in (fixed, np.concatenate(turning, -1)):
         C = columns.reshape(-1, columns.shape[-1])
@@ -134,13 +136,15 @@ def brightness_evidence(effect: BrightnessEffect, seen: Colours) -> ColourFit:
         total, rest = float((w * y.reshape(-1) ** 2).sum()), float((w * left**2).sum())
         count = float((w > 0).sum()) / _SHARED_ERROR
         value = 0.5 * count * np.log((count + total) / (count + rest))
-        value -= 0.5 * float(np.linalg.slogdet(H)[1]) * min(1.0, (count + rest) / (count + total)) + float(
-            np.log(2)
-        )
+        # What light cannot explain widens the noise, and a wide noise charges less for each number.
+        charge = min(1.0, (count + rest) / (count + total))
+        value -= 0.5 * charge * float(np.linalg.slogdet(H)[1]) + float(np.log(2))
         found = ColourFit(
             float(value),
             mean[: len(scales)],
-            covariance[: len(scales), : len(scales)] * max(1.0, rest / max(count, 1.0)),
+            np.asarray(
+                covariance[: len(scales), : len(scales)] * max(1.0, rest / max(count, 1.0)), np.float64
+            ),
             1 - rest / max(total, 1e-9),
             float(np.sqrt((seen.seen * y**2).sum() / max(seen.seen.sum(), 1e-9))),
         )
@@ -181,9 +185,11 @@ def exposure_evidence(effect: ExposureEffect, seen: Colours) -> ColourFit:
         gi, gj = np.gradient(reference)
         ii, ij = np.gradient(gi)
         _, jj = np.gradient(gj)
+        # A blur that is the same in all directions of the lattice.
+        round_blur = ii + jj
         smear = (a * a * ii + 2 * a * b * ij + b * b * jj) / 24
         now = gaussian_filter(smooth[f], 1.0)
-        columns = np.stack((smear, ii, ij, jj, gi, gj, reference, np.ones_like(reference)), -1)[ok]
+        columns = np.stack((smear, round_blur, gi, gj, reference, np.ones_like(reference)), -1)[ok]
         target = (now - reference)[ok]
         solution, *_ = np.linalg.lstsq(columns, target, rcond=None)
         spread = np.linalg.pinv(columns.T @ columns)[0, 0] * float((target - columns @ solution).var())
@@ -195,7 +201,7 @@ def exposure_evidence(effect: ExposureEffect, seen: Colours) -> ColourFit:
     e, w = np.array(estimates), np.array(weights)
     w = np.minimum(w, np.median(w) * 4)
     squared = float((w * e).sum() / w.sum())
-    # Frames disagree by more than their own errors say: the spread between them counts, three in a row as one.
+    # Frames disagree by more than their own errors say: the spread counts, three in a row as one.
     variance = float((w**2 * (e - squared) ** 2).sum() / w.sum() ** 2) * 3 + 1 / float(w.sum())
     z = squared / np.sqrt(variance)
     prior = scale**4
@@ -204,4 +210,6 @@ def exposure_evidence(effect: ExposureEffect, seen: Colours) -> ColourFit:
         value = min(value, 0.0)
     fraction = np.sqrt(max(squared, 0.0))
     deviation = np.sqrt(variance) / (2 * max(fraction, 0.1))
-    return ColourFit(float(value), np.array([fraction / scale]), np.array([[(deviation / scale) ** 2]]), 0.0, 0.0)
+    return ColourFit(
+        float(value), np.array([fraction / scale]), np.array([[(deviation / scale) ** 2]]), 0.0, 0.0
+    )

@@ -1,4 +1,4 @@
-"""From evidence to a verdict: probabilities that were calibrated on scenes made for it, and a confidence set."""
+"""From evidence to probabilities, calibrated on scenes made for it, and a confidence set."""
 
 from __future__ import annotations
 

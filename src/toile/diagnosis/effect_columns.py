@@ -6,14 +6,13 @@ comes from torch, so a new effect needs nothing here.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from torch.func import grad, jacfwd
 
 from toile.cloth.cloth import Cloth
 from toile.cloth.energies.bending import bending_energy
@@ -61,62 +60,73 @@ class Instant:
     anchors: Array
 
 
+def derivatives(function: Callable[[Effect], Tensor], effect: Effect) -> Array:
+    """Derivatives of a tensor (...) by every number of an effect at zero, per prior deviation, (n, ...).
+
+    Columns of the Jacobian by two reverse passes: Jᵀw is linear in w, and its derivative by w is J.
+    """
+    scales = effect.scales
+    white = torch.zeros_like(scales).requires_grad_()
+    with torch.enable_grad():
+        value = function(effect.with_values(white * scales))
+        if not value.requires_grad:
+            return np.zeros((len(scales), *value.shape))
+        weights = torch.zeros_like(value).requires_grad_()
+        (pulled,) = torch.autograd.grad((value * weights).sum(), white, create_graph=True)
+        columns = [
+            torch.autograd.grad(pulled[k], weights, retain_graph=True, allow_unused=True)[0]
+            for k in range(len(scales))
+        ]
+    zero = torch.zeros_like(weights)
+    return np.stack([(zero if c is None else c).detach().numpy() for c in columns]).astype(np.float64)
+
+
 def force_columns(effect: Effect, instant: Instant, around: Surroundings) -> Array:
     """Force (n_parameters, N, 3) [N] per prior deviation of every parameter, at zero.
 
     Raises:
         TypeError: the effect does not act through forces.
     """
-    scales = effect.scales
-    zero = torch.full_like(scales, _ALMOST_ZERO)
     cloth = around.cloth
-    x = torch.from_numpy(instant.step.positions)
     masses = cloth.masses
-
-    def with_white(white: Tensor) -> Effect:
-        return effect.with_values(white * scales)
-
     if isinstance(effect, VertexEffect | ElementEffect):
         now = _context(instant, cloth)
 
-        def force(white: Tensor) -> Tensor:
-            acting = with_white(white)
+        def force(acting: Effect) -> Tensor:
+            x = torch.from_numpy(instant.step.positions).clone().requires_grad_()
             if isinstance(acting, VertexEffect):
-                return -grad(lambda at: acting.energy(at, now).sum())(x)
-            assert isinstance(acting, ElementEffect)
-            changed = acting.elements(plain_elements(cloth), now)
-            return -grad(lambda at: internal_energy(at, cloth, now.material, changed))(x)
+                energy = acting.energy(x, now).sum()
+            else:
+                assert isinstance(acting, ElementEffect)
+                changed = acting.elements(plain_elements(cloth), now)
+                energy = internal_energy(x, cloth, now.material, changed)
+            return -torch.autograd.grad(energy, x, create_graph=True)[0]
 
-        return _numpy(jacfwd(force)(zero)).transpose(2, 0, 1)
+        return derivatives(force, effect)
     if isinstance(effect, ForceEffect):
         times = torch.tensor([instant.time], dtype=torch.float64)
 
-        def push(white: Tensor) -> Tensor:
-            acting = with_white(white)
+        def push(acting: Effect) -> Tensor:
             assert isinstance(acting, ForceEffect)
             return (masses[:, None] * acting.acceleration(times, around)[0]).expand(len(masses), 3)
 
-        return _numpy(jacfwd(push)(zero)).transpose(2, 0, 1)
+        return derivatives(push, effect)
     if isinstance(effect, MassEffect):
 
-        def heavier(white: Tensor) -> Tensor:
-            acting = with_white(white)
+        def heavier(acting: Effect) -> Tensor:
             assert isinstance(acting, MassEffect)
             return acting.masses(masses, around) / masses
 
-        change = _numpy(jacfwd(heavier)(zero)).T
         lost = masses.numpy()[:, None] * instant.acceleration - instant.step.imbalance
-        return change[:, :, None] * lost
+        return derivatives(heavier, effect)[:, :, None] * lost
     if isinstance(effect, TimeEffect):
-        interval = torch.ones((), dtype=torch.float64)
 
-        def longer(white: Tensor) -> Tensor:
-            acting = with_white(white)
+        def longer(acting: Effect) -> Tensor:
             assert isinstance(acting, TimeEffect)
-            return acting.frame_interval(interval)
+            return acting.frame_interval(torch.ones((), dtype=torch.float64))
 
         # Inertia goes with the inverse square of the time step.
-        return 2 * _numpy(jacfwd(longer)(zero))[:, None, None] * instant.step.imbalance
+        return 2 * derivatives(longer, effect)[:, None, None] * instant.step.imbalance
     raise TypeError(f"{effect.NAME} does not act through forces")
 
 
@@ -132,18 +142,18 @@ def apparent_columns(effect: CameraEffect, positions: Array, template: Array, ca
         template: positions in frame 0 (N, 3) [m].
         camera: nominal.
     """
-    scales = effect.scales
+    focal = torch.tensor([camera.fx, camera.fy], dtype=torch.float64)
 
-    def shift(white: Tensor, x: Tensor) -> Tensor:
-        pixels = camera.project(x)
-        acting = effect.with_values(white * scales)
-        return (acting.pixels(pixels, camera) - pixels) * x[:, 2:] / torch.tensor([camera.fx, camera.fy])
+    def shift(acting: Effect) -> Tensor:
+        assert isinstance(acting, CameraEffect)
+        moved = []
+        for x in (torch.from_numpy(positions), torch.from_numpy(template)):
+            pixels = camera.project(x)
+            moved.append((acting.pixels(pixels, camera) - pixels) * x[:, 2:] / focal)
+        return moved[0] - moved[1]
 
-    zero = torch.full_like(scales, _ALMOST_ZERO)
-    here = _numpy(jacfwd(lambda w: shift(w, torch.from_numpy(positions)))(zero))
-    there = _numpy(jacfwd(lambda w: shift(w, torch.from_numpy(template)))(zero))
-    out = np.zeros((len(scales), *positions.shape))
-    out[:, :, :2] = (here - there).transpose(2, 0, 1)
+    out = np.zeros((len(effect.scales), *positions.shape))
+    out[:, :, :2] = derivatives(shift, effect)
     return out
 
 
@@ -167,27 +177,8 @@ def internal_energy(x: Tensor, cloth: Cloth, material: Material, elements: Eleme
     return (
         stretching_energy(x, s.edges, elements.rest_lengths, material.stretching * elements.stretching)
         + shearing_energy(x, s.corners, elements.rest_corner_angles, material.shearing * elements.shearing)
-        + bending_energy(
-            x, s.straights, material.bending * elements.bending, elements.rest_straight_angles
-        )
+        + bending_energy(x, s.straights, material.bending * elements.bending, elements.rest_straight_angles)
     )
-
-
-def all_columns(
-    effects: Sequence[Effect], around: Surroundings
-) -> tuple[list[str], Callable[[Instant], Array]]:
-    """Names of the columns of all effects that act through forces, and a function that gives them."""
-    acting = [effect for effect in effects if isinstance(effect, FORCES)]
-    names = [effect.NAME for effect in acting for _ in effect.scales]
-
-    def columns(instant: Instant) -> Array:
-        return np.concatenate([force_columns(effect, instant, around) for effect in acting])
-
-    return names, columns
-
-
-# Of a prior deviation: effects that are exactly 0 are passed over, derivatives and all.
-_ALMOST_ZERO = 1e-9
 
 
 def _context(instant: Instant, cloth: Cloth) -> StepContext:
@@ -197,12 +188,8 @@ def _context(instant: Instant, cloth: Cloth) -> StepContext:
         cloth=cloth,
         material=Material(k[0:1], k[1:2], k[2:3]),
         positions=torch.from_numpy(step.before),
-        velocities=torch.from_numpy((step.positions - step.before) / instant.time_step),
+        velocities=torch.from_numpy(step.velocities),
         time=instant.time,
         time_step=instant.time_step,
         anchors=torch.from_numpy(instant.anchors),
     )
-
-
-def _numpy(values: Tensor) -> Array:
-    return np.asarray(values.detach().numpy(), np.float64)

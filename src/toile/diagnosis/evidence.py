@@ -1,9 +1,9 @@
 """How well each hypothesis explains what the base model leaves: Gaussian evidence around the base fit.
 
 Unknown are the local quantities of every window, among them a smooth force field of unknown size (the
-discrepancy), the base's stiffness and wind, and a hypothesis' own numbers. All are Gaussian a priori and enter
-linearly around the base fit, so everything but the size of the discrepancy is integrated out exactly; that one
-is scanned. A hypothesis gains by making the discrepancy small, not by fitting better.
+discrepancy), the base's stiffness and wind, and a hypothesis' own numbers. All are Gaussian a priori and
+enter linearly around the base fit, so all but the size of the discrepancy is integrated out, and that is
+scanned. A hypothesis gains by making the discrepancy small, not by fitting better.
 """
 
 from __future__ import annotations
@@ -14,7 +14,9 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_solve
+
+from toile.diagnosis.positive import positive_factor
 
 Array = NDArray[np.float64]
 
@@ -81,6 +83,7 @@ class Evidence:
     def __init__(
         self, systems: Sequence[WindowSystem], values: Array, deviations: Array, slack: float = 1.5
     ) -> None:
+        self.systems = list(systems)
         self.n_base = len(values)
         self.values = values
         self.deviations = deviations
@@ -89,7 +92,7 @@ class Evidence:
         self.reduced = {size: _reduce(systems, size, self.n_shared) for size in DISCREPANCIES}
 
     def posterior(self, columns: Sequence[int], largest: float = np.inf) -> Posterior:
-        """The hypothesis that frees these columns beside the base, at its best discrepancy up to ``largest``."""
+        """The hypothesis that frees these columns, at its best discrepancy up to ``largest``."""
         best: Posterior | None = None
         for size in DISCREPANCIES:
             if size > largest and best is not None:
@@ -100,12 +103,13 @@ class Evidence:
         assert best is not None
         return best
 
-    def signed(self, columns: Sequence[int], lowest: Array) -> Posterior:
+    def signed(self, columns: Sequence[int], lowest: Array, largest: float = np.inf) -> Posterior:
         """The best hypothesis among subsets of the columns whose numbers obey their bounds.
 
         Args:
             columns: of one effect.
             lowest: 0 where a number cannot be negative, -inf elsewhere.
+            largest: discrepancy.
         """
         bounded = [i for i in range(len(columns)) if lowest[i] == 0]
         free = [i for i in range(len(columns)) if lowest[i] != 0]
@@ -116,7 +120,7 @@ class Evidence:
             chosen = [columns[i] for i in sorted((*subset, *free))]
             if not chosen:
                 continue
-            found = self.posterior(chosen)
+            found = self.posterior(chosen, largest)
             tried += 1
             low = np.array([lowest[list(columns).index(c)] for c in found.columns])
             if (found.mean < low).any():
@@ -124,15 +128,23 @@ class Evidence:
             if best is None or found.log_evidence > best.log_evidence:
                 best = found
         if best is None:
-            none = self.posterior(())
-            return Posterior(none.log_evidence - _FORBIDDEN, none.discrepancy, np.zeros(0), np.zeros((0, 0)), ())
+            none = self.posterior((), largest)
+            return Posterior(
+                none.log_evidence - _FORBIDDEN, none.discrepancy, np.zeros(0), np.zeros((0, 0)), ()
+            )
         return Posterior(
-            best.log_evidence - float(np.log(tried)), best.discrepancy, best.mean, best.covariance, best.columns
+            best.log_evidence - float(np.log(tried)),
+            best.discrepancy,
+            best.mean,
+            best.covariance,
+            best.columns,
         )
 
     def loss_drop(self, columns: Sequence[int], size: float) -> float:
         """By how much the training loss falls with these columns free, without any charge for them."""
-        return self._at(columns, size, charge=False).log_evidence - self._at((), size, charge=False).log_evidence
+        size = _tried(size)
+        free = self._at(columns, size, charge=False).log_evidence
+        return free - self._at((), size, charge=False).log_evidence
 
     def fisher(self, size: float) -> Array:
         """Information on all effect columns with base, starts, anchors and discrepancy integrated out."""
@@ -142,13 +154,36 @@ class Evidence:
         C = reduced.matrix[:b, b:]
         return np.asarray(reduced.matrix[b:, b:] - C.T @ np.linalg.solve(A, C))
 
+    def given(self, columns: Sequence[int], numbers: Array, size: float) -> tuple[Array, list[Array]]:
+        """Base values, and changes of every window's local columns, where the effect's numbers are given.
+
+        Args:
+            columns: of the effect.
+            numbers: in units of their prior deviations.
+            size: of the discrepancy [m/s²], taken to the next one that was tried.
+        """
+        size = _tried(size)
+        reduced, b, n = self.reduced[size], self.n_base, self.n_shared
+        given = np.zeros(n)
+        given[list(columns)] = numbers
+        H = reduced.matrix[:b, :b] + np.diag(self.deviations**-2)
+        right = reduced.right[:b] - reduced.matrix[:b] @ given - self.values / self.deviations**2
+        given[:b] = np.linalg.solve(H, right)
+        changes = []
+        for s in self.systems:
+            scale, mean = _scaled(s, size)
+            factor = positive_factor(np.eye(len(scale)) + scale[:, None] * s.matrix[n:, n:] * scale)
+            u = -(scale * (s.gradient[n:] + s.matrix[n:, :n] @ given) + mean)
+            changes.append(scale * cho_solve(factor, u))
+        return self.values + given[:b], changes
+
     def _at(self, columns: Sequence[int], size: float, *, charge: bool = True) -> Posterior:
         reduced = self.reduced[size]
         index = np.array([*range(self.n_base), *columns], int)
         scale = np.concatenate((self.deviations, np.full(len(columns), self.slack)))
         mean = np.concatenate((self.values / self.deviations, np.zeros(len(columns))))
         H = np.eye(len(index)) + scale[:, None] * reduced.matrix[np.ix_(index, index)] * scale
-        factor = cho_factor(H)
+        factor = positive_factor(H)
         right = scale * reduced.right[index] - mean
         white = cho_solve(factor, right)
         value = reduced.constant + 0.5 * right @ white - 0.5 * mean @ mean
@@ -159,14 +194,16 @@ class Evidence:
         return Posterior(float(value), size, (scale * white)[b:], covariance[b:, b:], tuple(columns))
 
 
+def _tried(size: float) -> float:
+    """The largest discrepancy that is tried and not above ``size``, or the smallest."""
+    return max((d for d in DISCREPANCIES if d <= size), default=DISCREPANCIES[0])
+
+
 def _reduce(systems: Sequence[WindowSystem], size: float, n: int) -> Reduced:
     matrix, right, constant = np.zeros((n, n)), np.zeros(n), 0.0
     for s in systems:
-        local = len(s.white)
-        forces = np.arange(local) >= s.forces
-        scale = np.where(forces, size, 1.0)
-        mean = s.white * np.where(forces, s.force / size, 1.0)
-        factor = cho_factor(np.eye(local) + scale[:, None] * s.matrix[n:, n:] * scale)
+        scale, mean = _scaled(s, size)
+        factor = positive_factor(np.eye(len(scale)) + scale[:, None] * s.matrix[n:, n:] * scale)
         C = scale[:, None] * s.matrix[n:, :n]
         u = -(scale * s.gradient[n:] + mean)
         solved = cho_solve(factor, u)
@@ -174,6 +211,12 @@ def _reduce(systems: Sequence[WindowSystem], size: float, n: int) -> Reduced:
         right += -s.gradient[:n] - C.T @ solved
         constant += 0.5 * u @ solved - 0.5 * mean @ mean - np.log(np.diag(factor[0])).sum()
     return Reduced(matrix, right, float(constant))
+
+
+def _scaled(s: WindowSystem, size: float) -> tuple[Array, Array]:
+    """Prior deviations of the local columns and their present white values, at a size of the discrepancy."""
+    forces = np.arange(len(s.white)) >= s.forces
+    return np.where(forces, size, 1.0), s.white * np.where(forces, s.force / size, 1.0)
 
 
 # Log evidence taken from an effect whose every sign is impossible.

@@ -11,12 +11,9 @@ from numpy.typing import NDArray
 
 from toile.cloth.material import Material
 from toile.cloth.state import State
-from toile.diagnosis.shooting import Base, Shooting
+from toile.diagnosis.shooting import Base, Shooting, changed_simulation
 from toile.effects.base import Effect, Surroundings
-from toile.effects.setting import setting
 from toile.simulators.base import StepStatus
-from toile.simulators.implicit.integrators import BDF2
-from toile.simulators.implicit.simulator import ImplicitSimulator
 from toile.simulators.rollout import rollout
 
 Array = NDArray[np.float64]
@@ -53,24 +50,21 @@ def predict(
         base: stiffness and wind.
         effects: in the model.
         start: state at ``first``.
-        first, last: frames.
+        first: frame of the state.
+        last: frame.
         extra: constant force per mass beside (N, 3) [m/s²].
     """
     wind = base.wind @ shooting.horizontal
-    acceleration = torch.from_numpy(wind if extra is None else wind + extra)
-    anchors = torch.from_numpy(shooting.anchors[: around.n_frames])
-    given = setting(effects, around, anchors, acceleration)
-    old = shooting.simulator
-    assert isinstance(old, ImplicitSimulator)
-    step = float(given.frame_interval) / shooting.substeps
-    simulator = ImplicitSimulator(given.cloth, step, BDF2(), old.newton, given.terms)
+    simulator, _, forces, anchors = changed_simulation(
+        shooting, effects, around, torch.from_numpy(wind if extra is None else wind + extra)
+    )
     k = torch.from_numpy(base.stiffness)[:, None]
     motion = rollout(
         simulator,
         start,
         Material(k[0], k[1], k[2]),
-        given.forces[None, first:last].detach(),
-        given.anchors[None, first : last + 1].detach(),
+        forces[None, first:last],
+        anchors[None, first : last + 1],
         shooting.substeps,
         throw=False,
     )

@@ -83,7 +83,7 @@ def analyse_mechanics(
         tracked: see Tracked.
         effects: candidates; those that act neither through forces nor the camera are passed over.
         settings: see ShootingSettings.
-        stiffness: start values Y, S, B in network units.
+        stiffness: start values Y [N/m], S per cell area [N/m], B [N·m].
         longest_substep: [s].
         n_frames: frames used.
         report: called with a message and the cost.
@@ -102,9 +102,9 @@ def analyse_mechanics(
         tracked,
         settings,
     )
-    units = np.array([grid.units.stretching, grid.units.energy, grid.units.energy])
-    fit = fit_base(shooting, tracked.positions[0], np.array(stiffness) * units, n_frames, report)
-    around = Surroundings(grid.cloth, grid.cloth_size, torch.from_numpy(gravity), scene.fps, n_frames)
+    start = np.array(stiffness) * (1.0, grid.units.length**2, 1.0)
+    fit = fit_base(shooting, tracked.positions[0], start, n_frames, report)
+    around = Surroundings(grid.cloth, grid.cloth_size, torch.from_numpy(gravity), scene.fps, scene.n_frames)
     acting = [effect for effect in effects if isinstance(effect, (*FORCES, CameraEffect))]
     # Columns of forces come first, see Shooting.normal.
     acting.sort(key=lambda effect: isinstance(effect, CameraEffect))

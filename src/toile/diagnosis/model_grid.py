@@ -49,7 +49,7 @@ def spline_matrix(n: int, at: Array) -> Array:
 def model_grid(scene: Scene, fine: Cloth, side: int | None) -> ModelGrid:
     """A model of the scene's cloth with ``side`` vertices along each side; None for the scene's own grid.
 
-    Rest lengths are arc lengths of the fine cloth's at rest, so a template that is not evenly spaced stays so.
+    Rest lengths are arc lengths of the fine cloth at rest: a template that is not evenly spaced stays so.
 
     Args:
         scene: its grid and held vertices are used.
@@ -62,17 +62,19 @@ def model_grid(scene: Scene, fine: Cloth, side: int | None) -> ModelGrid:
     prolong = np.kron(spline_matrix(h, np.linspace(0, 1, H)), spline_matrix(w, np.linspace(0, 1, W)))
     restrict = np.kron(spline_matrix(H, u), spline_matrix(W, v))
     rest = fine.rest_lengths.numpy()
+    first: Array
+    second: Array
     first, second = rest[: (H - 1) * W].reshape(H - 1, W), rest[(H - 1) * W :].reshape(H, W - 1)
-    lengths = np.concatenate(
-        (_resample(first, u, v).reshape(-1), _resample(second.T, v, u).T.reshape(-1))
-    )
+    lengths = np.concatenate((_resample(first, u, v).reshape(-1), _resample(second.T, v, u).T.reshape(-1)))
     size = float(first.sum(0).mean()), float(second.sum(1).mean())
     area = size[0] * size[1]
     density = float(fine.masses.sum()) / area
     held = tuple(_nearest(int(k), (H, W), (h, w)) for k in fine.held)
     cloth = grid_cloth((h, w), size, density, held, torch.from_numpy(lengths))
     cell = area / ((h - 1) * (w - 1))
-    return ModelGrid(cloth, NetworkUnits(density * cell, cell**0.5, PAPER_TIME_STEP), prolong, restrict, size)
+    units = NetworkUnits(density * cell, cell**0.5, PAPER_TIME_STEP)
+    to_scene, to_model = np.asarray(prolong, np.float64), np.asarray(restrict, np.float64)
+    return ModelGrid(cloth, units, to_scene, to_model, size)
 
 
 def _resample(steps: Array, along: Array, across: Array) -> Array:

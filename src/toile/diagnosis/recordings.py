@@ -33,7 +33,7 @@ def next_recording(candidates: Sequence[str]) -> str:
     known = [c for c in candidates if c in _BY_EFFECT]
     stages = [STAGES[c] for c in known]
     if not known:
-        return "a second clip of the same cloth with another motion of the held corners, and one longer than this"
+        return "a second, longer clip of the same cloth with another motion of the held corners"
     if len(known) > 1 and all(stage in (Stage.MECHANICS, Stage.ACTUATION) for stage in stages):
         head = "a second clip with the held corners shaken about 3 cm at 2 to 3 Hz"
     else:

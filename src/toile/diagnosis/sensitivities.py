@@ -29,6 +29,7 @@ class StepForces:
         index: of the sub-step, from 0.
         positions: at its end (N, 3) [m].
         before: at its begin (N, 3) [m].
+        velocities: at its begin (N, 3) [m/s].
         unit_gradients: of e_Y, e_S, e_B at its end (3, N, 3).
         imbalance: inertia (x - x̂), (N, 3) [N].
     """
@@ -36,6 +37,7 @@ class StepForces:
     index: int
     positions: Array
     before: Array
+    velocities: Array
     unit_gradients: Array
     imbalance: Array
 
@@ -151,9 +153,20 @@ class KnownMotion:
             n,
             x,
             self.positions[n],
+            self._velocity(n),
             self.simulator.assembly.gradients(x),
             inertia[:, None] * (x - prediction),
         )
+
+    def _velocity(self, n: int) -> Array:
+        """Velocity (N, 3) [m/s] at the begin of sub-step n, as the simulator has it."""
+        steps = self._before + n
+        if steps == 0:
+            return np.zeros_like(self.positions[0])
+        weights = self.simulator.integrator.formula(steps - 1).velocity
+        at = n + self._history - 1
+        total = sum(d * self._padded[max(at - i, 0)] for i, d in enumerate(weights))
+        return np.asarray(total / self.simulator.time_step)
 
     def required(self, step: StepForces) -> Array:
         """External force that makes the motion what it is (N, 3) [N]; zero at held vertices."""
@@ -172,7 +185,8 @@ class KnownMotion:
         """Change of the frames first + 1 ... last for every column: (3N, R) [m] each, vertices' own order.
 
         Args:
-            first, last: frames; the state at ``first`` changes as said by the next but one arguments.
+            first: frame whose state changes as ``start`` and ``velocities`` say.
+            last: frame.
             substeps: sub-steps per frame.
             columns: right-hand sides of a sub-step; the number of active ones never falls.
             start: change of the positions at ``first`` (R, N, 3) [m].

@@ -1,4 +1,4 @@
-"""Multiple shooting: short simulations whose start, anchors and smooth forces are free, stiffness and wind shared.
+"""Multiple shooting: short simulations with starts, anchors and forces of their own, stiffness shared.
 
 Long rollouts amplify every error, so the clip is cut into windows. Within one, the cloth moves by its own
 equations; what may differ from them is a force field with few, smooth modes in space and time, whose size is
@@ -7,19 +7,24 @@ itself a question (Kennedy and O'Hagan 2001 call it the discrepancy). Gauss-Newt
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from itertools import chain
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from toile.cloth.cloth import Cloth
 from toile.cloth.material import Material
 from toile.cloth.state import State
 from toile.diagnosis.sensitivities import Columns, KnownMotion, StepForces
 from toile.diagnosis.tracked import Tracked
+from toile.effects.base import Effect, Surroundings
+from toile.effects.setting import setting
 from toile.simulators.base import StepStatus
+from toile.simulators.implicit.integrators import BDF2
+from toile.simulators.implicit.simulator import ImplicitSimulator
 from toile.simulators.linearizable import LinearizableSimulator
 from toile.simulators.rollout import rollout
 
@@ -51,16 +56,16 @@ class ShootingSettings:
     modes: int = 4
     force_knot: int = 4
     anchor_knot: int = 2
-    start_position: float = 0.004
-    start_velocity: float = 0.15
-    anchor: float = 0.01
+    start_position: float = 0.003
+    start_velocity: float = 0.06
+    anchor: float = 0.003
     stiffness: float = 1.0
     wind: float = 2.0
-    force: float = 0.5
+    force: float = 0.7
     trust: float = 0.01
     sweeps: int = 2
     iterations: int = 4
-    passes: int = 3
+    passes: int = 6
 
 
 @dataclass(frozen=True)
@@ -109,7 +114,7 @@ def cosine_modes(grid: tuple[int, int], n: int) -> Array:
     return (a[:, None, :, None] * b[None, :, None, :]).reshape(n * n, -1)
 
 
-def hats(times: Array, spacing: float, n: int) -> Array:
+def hats(times: NDArray[np.floating], spacing: float, n: int) -> Array:
     """Piecewise linear hat functions (T, n) with knots 0, spacing, 2 spacing, ... at times (T,)."""
     return np.clip(1 - np.abs(times[:, None] / spacing - np.arange(n)), 0, None)
 
@@ -182,11 +187,13 @@ class Shooting:
     def local(self, window: WindowMotion, white: Array) -> tuple[State, Array, Array]:
         """Start state, held positions (n + 1, n_held, 3) and force per mass (n, N, 3) of local unknowns."""
         n = window.last - window.first
-        oa, of, total = self.layout(n)
+        oa, of, _ = self.layout(n)
         values = white * self.deviations(n, self.settings.force)
         x0 = np.tensordot(values[: self.n_fields], self.fields, 1)
         v0 = np.tensordot(values[self.n_fields : oa], self.fields, 1)
-        knots = hats(np.arange(n + 1.0), self.settings.anchor_knot, self.n_knots(n, self.settings.anchor_knot))
+        knots = hats(
+            np.arange(n + 1.0), self.settings.anchor_knot, self.n_knots(n, self.settings.anchor_knot)
+        )
         moved = (knots @ values[oa:of].reshape(knots.shape[1], -1)).reshape(n + 1, -1, 3)
         anchors = self.anchors[window.first : window.last + 1] + moved
         knots = hats(np.arange(n) + 0.5, self.settings.force_knot, self.n_knots(n, self.settings.force_knot))
@@ -207,20 +214,46 @@ class Shooting:
         )
         return state, anchors, force
 
-    def simulate(self, window: WindowMotion, white: Array, base: Base) -> WindowMotion:
-        """The same window with other unknowns, simulated."""
+    def simulate(
+        self,
+        window: WindowMotion,
+        white: Array,
+        base: Base,
+        effects: Sequence[Effect] = (),
+        around: Surroundings | None = None,
+    ) -> WindowMotion:
+        """The same window with other unknowns, simulated.
+
+        Args:
+            window: its frames, reference and last motion.
+            white: local unknowns.
+            base: stiffness and wind.
+            effects: in the model.
+            around: the whole clip; needed with effects.
+        """
         state, anchors, force = self.local(window, white)
-        acceleration = self.gravity + base.wind @ self.horizontal + force
+        wind = base.wind @ self.horizontal
         k = torch.from_numpy(base.stiffness)[:, None]
+        simulator, forces = (
+            self.simulator,
+            torch.from_numpy(self.masses[:, None] * (self.gravity + wind + force)),
+        )
+        held = torch.from_numpy(anchors)
+        if effects:
+            assert around is not None
+            simulator, cloth, total, moved = changed_simulation(self, effects, around, torch.from_numpy(wind))
+            forces = total[window.first : window.last] + cloth.masses[:, None] * torch.from_numpy(force)
+            shift = moved - torch.from_numpy(self.anchors[: around.n_frames])
+            held = held + shift[window.first : window.last + 1]
         warm = None
         if len(window.positions):
             warm = torch.from_numpy(window.positions)[None]
         motion = rollout(
-            self.simulator,
+            simulator,
             state,
             Material(k[0], k[1], k[2]),
-            torch.from_numpy(self.masses[:, None] * acceleration)[None],
-            torch.from_numpy(anchors)[None],
+            forces[None],
+            held[None],
             self.substeps,
             warm,
             throw=False,
@@ -287,7 +320,7 @@ class Shooting:
         )
 
         def columns(step: StepForces) -> Columns:
-            f = np.zeros((R, N, 3), np.float32)
+            f = np.zeros((R, N, 3))
             columns_now = shared(step)
             f[: len(columns_now)] = columns_now
             displaced = np.zeros((R, self.n_held, 3))
@@ -304,14 +337,36 @@ class Shooting:
         moves = chain(
             [start.reshape(R, -1).T.astype(np.float32)], motion.tangents(0, n, sub, columns, start, speed)
         )
-        for i, J in enumerate(moves):
+        for i, moved in enumerate(moves):
             f = window.first + i
             apparent = seen(f, frames[i])
+            J = moved
             if len(apparent):
                 # The history of the motion is not changed by what is only seen.
-                J = J.copy()
+                J = moved.copy()
                 J[:, n_shared - len(apparent) : n_shared] += apparent.reshape(len(apparent), -1).T
             information = self.tracked.information[f]
             G += (J.T @ (information @ J)).astype(np.float64)
             g += J.T.astype(np.float64) @ self.tracked.slope(f, frames[i])
         return self.weight * G, self.weight * g
+
+
+@torch.no_grad()
+def changed_simulation(
+    shooting: Shooting, effects: Sequence[Effect], around: Surroundings, wind: torch.Tensor
+) -> tuple[ImplicitSimulator, Cloth, torch.Tensor, torch.Tensor]:
+    """Simulator, cloth, forces (F-1, N, 3) [N] and held positions (F, n_held, 3) [m] with effects.
+
+    Args:
+        shooting: the problem without them.
+        effects: in the model.
+        around: the whole clip.
+        wind: beside gravity, (3,) or (F-1, N, 3) [m/s²].
+    """
+    anchors = torch.from_numpy(shooting.anchors[: around.n_frames])
+    given = setting(effects, around, anchors, wind)
+    nominal = shooting.simulator
+    assert isinstance(nominal, ImplicitSimulator)
+    step = float(given.frame_interval) / shooting.substeps
+    simulator = ImplicitSimulator(given.cloth, step, BDF2(), nominal.newton, given.terms)
+    return simulator, given.cloth, given.forces, given.anchors

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-
 from numpy.typing import NDArray
 from scipy import sparse
 
@@ -53,23 +52,36 @@ class Tracked:
 
 
 def track(
-    reconstruction: Reconstruction, recipe: TrackingRecipe, report: Callable[[int, int], None]
+    reconstruction: Reconstruction,
+    recipe: TrackingRecipe,
+    used: int,
+    report: Callable[[int, float], None],
 ) -> Array:
-    """Run the recipe; frame positions (F, N, 3) [m].
+    """Track the motion by the recipe's last stage; frame positions (F, N, 3) [m].
+
+    The first ``used`` frames stay as they were when the recipe had seen no others.
 
     Args:
         reconstruction: changed in place.
-        recipe: with free forces.
-        report: called with (cycle, number of cycles).
+        recipe: with free forces; stiffness is the diagnosis' own business.
+        used: frames.
+        report: called with the frames covered and the share that is done.
     """
-    recipe.start(reconstruction)
-    n = recipe.n_cycles(reconstruction)
+    tracking = TrackingRecipe({"track": recipe.stages[-1]})
+    tracking.start(reconstruction)
+    n = tracking.n_cycles(reconstruction)
+    sub = reconstruction.substeps
+    early = positions = reconstruction.template.numpy()[None]
     for index in range(n):
-        recipe.cycle(reconstruction, index)
-        report(index + 1, n)
-    motion = recipe.substep_positions()
-    assert motion is not None
-    return motion[0, :: reconstruction.substeps].numpy().copy()
+        covered = tracking.cycle(reconstruction, index).n_frames
+        motion = tracking.substep_positions()
+        assert motion is not None
+        positions = motion[0, ::sub].numpy().copy()
+        if covered <= used:
+            early = positions
+        report(covered, (index + 1) / n)
+    positions[: len(early)] = early
+    return positions
 
 
 def tracked_motion(
@@ -127,13 +139,8 @@ def tracked_motion(
     )
 
 
-def without_calibration(recipe: TrackingRecipe) -> TrackingRecipe:
-    """The recipe's last stage alone: stiffness is the diagnosis' own business."""
-    return TrackingRecipe({"track": recipe.stages[-1]})
-
-
 def point_settings(recipe: TrackingRecipe) -> PointTermSettings:
     """Image term of the last stage."""
     settings = recipe.stages[-1].term
     assert isinstance(settings, PointTermSettings)
-    return replace(settings)
+    return settings

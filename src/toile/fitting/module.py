@@ -11,6 +11,7 @@ import torch
 from lightning import LightningModule
 from torch import Tensor
 
+from toile.fitting.effects import FitEffects
 from toile.fitting.parameters import ClothParameters
 from toile.fitting.recipe import CycleReport, Recipe
 from toile.fitting.reconstruction import Reconstruction
@@ -42,6 +43,7 @@ class FitModule(LightningModule):
         self.automatic_optimization = False
         self.reconstruction = reconstruction
         self.cloth_parameters = reconstruction.parameters
+        self.effects = reconstruction.effects
         self.recipe = recipe
         self.seed = seed
         self.n_cycles = recipe.n_cycles(reconstruction)
@@ -65,7 +67,7 @@ class FitModule(LightningModule):
         started = time.perf_counter()
         report = self.recipe.cycle(self.reconstruction, self.cycles_done)
         seconds = time.perf_counter() - started
-        self.history.append(row(self.cycles_done, self.cloth_parameters, report, seconds))
+        self.history.append(row(self.cycles_done, self.cloth_parameters, report, seconds, self.effects))
         self.report = report
         self.cycles_done += 1
         self._complete = self._snapshot()
@@ -127,7 +129,13 @@ class Cycles:
         return iter(range(self._module.cycles_done, self._module.n_cycles))
 
 
-def row(index: int, parameters: ClothParameters, report: CycleReport, seconds: float) -> dict[str, float]:
+def row(
+    index: int,
+    parameters: ClothParameters,
+    report: CycleReport,
+    seconds: float,
+    effects: FitEffects | None = None,
+) -> dict[str, float]:
     """One row of the history: names with units, plain numbers.
 
     Args:
@@ -135,6 +143,7 @@ def row(index: int, parameters: ClothParameters, report: CycleReport, seconds: f
         parameters: after the cycle.
         report: of the cycle; its losses are those that the cycle saw.
         seconds: duration of the cycle.
+        effects: after the cycle.
     """
     result: dict[str, float] = {"cycle": index}
     terms = {name: float(value) for name, value in report.losses.items() if not name.endswith(_COUNTS)}
@@ -146,6 +155,8 @@ def row(index: int, parameters: ClothParameters, report: CycleReport, seconds: f
         result[f"{name} [network units]"] = parameters.get_parameter(name).item()
     for axis, wind in zip("xyz", parameters.wind.tolist(), strict=True):
         result[f"wind {axis} [m/s²]"] = wind
+    if effects is not None:
+        result.update(zip(effects.names, effects.current().tolist(), strict=True))
     result["turbulence rms [m/s²]"] = _rms(parameters.turbulence[: report.n_frames - 1])
     result["anchor motion rms [mm]"] = 1e3 * _rms(parameters.anchor_motion[: report.n_frames])
     result["frames"] = report.n_frames

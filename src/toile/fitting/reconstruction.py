@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor
 
 from toile.cloth.cloth import Cloth
 from toile.cloth.state import State
+from toile.effects.base import Effect, Surroundings
+from toile.effects.setting import Setting, setting
+from toile.fitting.effects import FitEffects
 from toile.fitting.parameters import ClothParameters
 from toile.geometry.mesh import grid_faces
 from toile.rendering.base import Renderer
@@ -23,20 +26,26 @@ class Reconstruction:
     Args:
         scene: see Scene; its ground truth is never read here.
         cloth: elements, rest shape and masses.
-        make_simulator: builds the simulator from (cloth, sub-step [s]).
+        make_simulator: builds the simulator from (cloth, sub-step [s]), and ``terms`` where there are any.
         substeps: sub-steps per frame.
         parameters: the unknowns.
         renderer: differentiable renderer.
+        effects: what acts beside inertia, the three energies, gravity and wind; None for nothing.
+
+    Attributes:
+        simulator: without any effects.
+        around: the clip as the effects know it.
     """
 
     def __init__(
         self,
         scene: Scene,
         cloth: Cloth,
-        make_simulator: Callable[[Cloth, float], Simulator],
+        make_simulator: Callable[..., Simulator],
         substeps: int,
         parameters: ClothParameters,
         renderer: Renderer,
+        effects: FitEffects | None = None,
     ) -> None:
         self.scene = scene
         self.cloth = cloth
@@ -48,10 +57,52 @@ class Reconstruction:
         self.template = scene.template.reshape(-1, 3).to(torch.float64)
         self.texture_coordinates = scene.texture_coordinates.reshape(-1, 2)
         self.gravity = scene.gravity.to(torch.float64)
+        self.effects = effects or FitEffects()
+        self.around = Surroundings(cloth, scene.cloth_size, self.gravity, scene.fps, scene.n_frames)
+        self._make_simulator = make_simulator
+
+    def setting(
+        self,
+        effects: Sequence[Effect] | None = None,
+        anchor_motion: Tensor | None = None,
+        wind: Tensor | None = None,
+    ) -> Setting:
+        """What the whole clip is under the effects; forces are without the turbulence.
+
+        Args:
+            effects: with the numbers they have; None takes those of the fit as they are now.
+            anchor_motion: (F, n_held, 3) [m]; None takes the parameter.
+            wind: (3,) [m/s²]; None takes the parameter.
+        """
+        p = self.parameters
+        motion = p.anchor_motion if anchor_motion is None else anchor_motion
+        return setting(
+            self.effects.acting() if effects is None else effects,
+            self.around,
+            self.template[self.cloth.held] + motion,
+            p.wind if wind is None else wind,
+        )
+
+    def simulator_of(self, given: Setting) -> Simulator:
+        """The simulator for that setting; ``simulator`` where nothing of the kind is changed."""
+        interval, nominal = given.frame_interval, 1 / self.scene.fps
+        same_time = not interval.requires_grad and float(interval) == nominal
+        if given.cloth is self.cloth and same_time and not given.terms:
+            return self.simulator
+        step = interval / self.substeps if interval.requires_grad else float(interval) / self.substeps
+        terms = {"terms": given.terms} if given.terms else {}
+        return self._make_simulator(given.cloth, step, **terms)
+
+    def forces(self, given: Setting, first: int, last: int) -> Tensor:
+        """External forces of frames first + 1 ... last, turbulence included, (last - first, N, 3) [N]."""
+        p = self.parameters
+        if not len(self.effects):
+            return p.forces(self.cloth.masses, self.gravity, first, last)
+        return given.forces[first:last] + p.units.mass * p.turbulence[first:last]
 
     def anchors(self, first: int, last: int) -> Tensor:
         """Positions of the held vertices at frames first ... last, (last - first + 1, n_held, 3) [m]."""
-        return self.template[self.cloth.held] + self.parameters.anchor_motion[first : last + 1]
+        return self.setting().anchors[first : last + 1]
 
     def initial_state(self) -> State:
         """The template at rest, with the held vertices where the anchors say; batch of one."""
@@ -65,14 +116,13 @@ class Reconstruction:
         self, n_frames: int, warm_start: Tensor | None = None, *, linearize: bool = False, throw: bool = True
     ) -> Rollout:
         """Simulate the first ``n_frames`` frames; differentiable in all parameters but texture_offset."""
-        p = self.parameters
-        forces = p.forces(self.cloth.masses, self.gravity, 0, n_frames - 1)
+        given = self.setting()
         return rollout(
-            self.simulator,
+            self.simulator_of(given),
             self.initial_state(),
-            p.material(),
-            forces[None],
-            self.anchors(0, n_frames - 1)[None],
+            self.parameters.material(),
+            self.forces(given, 0, n_frames - 1)[None],
+            given.anchors[None, :n_frames],
             self.substeps,
             warm_start,
             linearize=linearize,

@@ -38,6 +38,7 @@ class SuccessiveFramesAdam(Recipe):
     | turbulence | network units of force, m L / Δt² | 0.001 |
     | anchor_motion | grid spacings per frame | 0.001 |
     | texture_offset | texture coordinates | 0.0002 |
+    | effects | each number's scale | not there |
 
     The paper moves the held vertices by the turbulence stored at them, read as their velocity. Here they have
     parameters of their own, and Adam acts on their motion from frame to frame: with the paper's learning rate
@@ -75,7 +76,7 @@ class SuccessiveFramesAdam(Recipe):
         self.first_frames = first_frames
         self.cycles_per_frame = cycles_per_frame
         self.frames_per_render = frames_per_render
-        _known("learning_rates", self.learning_rates, ClothParameters.NAMES)
+        _known("learning_rates", self.learning_rates, (*ClothParameters.NAMES, "effects"))
         _known("minimum", self.minimum, ClothParameters.STIFFNESSES)
         for name, value, least in (
             ("cycles", cycles, 0),
@@ -108,7 +109,11 @@ class SuccessiveFramesAdam(Recipe):
         """See Recipe."""
         p = reconstruction.parameters
         self._before, self._warm_start = {}, None
-        self._variables = {name: p.get_parameter(name) for name in self.learning_rates}
+        effects = reconstruction.effects
+        of_cloth = [name for name in self.learning_rates if name != "effects"]
+        self._variables = {name: p.get_parameter(name) for name in of_cloth}
+        if "effects" in self.learning_rates and effects.values is not None:
+            self._variables["effects"] = (effects.current() / effects.scales).requires_grad_()
         if "anchor_motion" in self._variables:
             motion = p.anchor_motion.detach().diff(dim=0)
             self._variables["anchor_motion"] = motion.requires_grad_()
@@ -141,6 +146,7 @@ class SuccessiveFramesAdam(Recipe):
         p = reconstruction.parameters
         n = self.n_frames(index, reconstruction.scene.n_frames)
         p.zero_grad(set_to_none=True)
+        reconstruction.effects.zero_grad(set_to_none=True)
         motion = self._simulate(reconstruction, n, notes)
         self._warm_start = motion.all_positions
         positions = motion.positions[0]
@@ -190,7 +196,7 @@ class SuccessiveFramesAdam(Recipe):
                             self._variables[name].lerp_(before, 0.5)
                         else:
                             self._variables[name].copy_(before)
-                self._write_anchor_motion(reconstruction)
+                self._write(reconstruction)
                 taken = "halved" if halvings < _MAX_HALVINGS - 1 else "taken back"
                 notes.append(f"the last update was {taken}: {error}")
         return reconstruction.simulate(n_frames, self._warm_start)
@@ -242,6 +248,10 @@ class SuccessiveFramesAdam(Recipe):
             # The motion between frames t and t + 1 moves every later frame.
             later = p.anchor_motion.grad
             motion.grad = None if later is None else later[1:].flip(0).cumsum(0).flip(0)
+        effects = reconstruction.effects
+        if "effects" in self._variables and effects.values is not None:
+            slope = effects.values.grad
+            self._variables["effects"].grad = None if slope is None else slope * effects.scales
         bad = [
             n for n, v in self._variables.items() if v.grad is not None and not bool(v.grad.isfinite().all())
         ]
@@ -254,9 +264,19 @@ class SuccessiveFramesAdam(Recipe):
                 p.get_parameter(name).clamp_(min=least)
             down = reconstruction.gravity / reconstruction.gravity.norm().clamp(min=1e-12)
             p.wind.sub_((p.wind @ down) * down)
-        self._write_anchor_motion(reconstruction)
+            if "effects" in self._variables:
+                bounds = effects.low / effects.scales, effects.high / effects.scales
+                self._variables["effects"].clamp_(*bounds)
+        self._write(reconstruction)
 
-    def _write_anchor_motion(self, reconstruction: Reconstruction) -> None:
+    def _write(self, reconstruction: Reconstruction) -> None:
+        """Give the parameters those variables that are others than theirs."""
+        effects = reconstruction.effects
+        if "effects" in self._variables and effects.values is not None:
+            with torch.no_grad():
+                effects.values.copy_(
+                    (self._variables["effects"] * effects.scales).clamp(effects.low, effects.high)
+                )
         motion = self._variables.get("anchor_motion")
         if motion is not None:
             with torch.no_grad():

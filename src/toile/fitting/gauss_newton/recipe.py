@@ -18,7 +18,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from toile.fitting.gauss_newton.unknowns import Priors, WindowUnknowns
+from toile.fitting.gauss_newton.unknowns import Priors, WindowUnknowns, force_change
 from toile.fitting.gauss_newton.window import minimise_window, state_at
 from toile.fitting.parameters import ClothParameters
 from toile.fitting.recipe import CycleReport, Recipe
@@ -91,8 +91,8 @@ class Stage:
         iterations: Gauss-Newton iterations per window.
         cg_iterations, cg_tolerance: of the linear solver.
         visibility: leave out points that the cloth itself hides.
-        settle: at the end, set stiffness and wind to their means over the second half of the windows; for
-            stages in which they walk.
+        settle: at the end, set stiffness, wind and effects to their means over the second half of the
+            windows; for stages in which they walk.
         discard_turbulence: begin with none.
     """
 
@@ -180,7 +180,7 @@ class TrackingRecipe(Recipe):
         self._positions = np.concatenate([*before, result.positions, *after])
         self._covered = max(self._covered, last)
         if stage.settle:
-            self._settle(reconstruction.parameters, last_window=self._is_last_of_stage(index))
+            self._settle(reconstruction, last_window=self._is_last_of_stage(index))
         losses = {
             "objective": result.objective,
             "colour": float(result.colour.mean()),
@@ -202,7 +202,7 @@ class TrackingRecipe(Recipe):
             "positions": None if self._positions is None else torch.from_numpy(self._positions.copy()),
             "covered": self._covered,
             "tracked": None if self._tracked is None else torch.from_numpy(self._tracked.copy()),
-            "walk": torch.from_numpy(np.array(self._walk).reshape(-1, 6)),
+            "walk": torch.from_numpy(np.stack(self._walk) if self._walk else np.zeros((0, 6))),
             "start_stiffness": torch.from_numpy(self._start_stiffness.copy()),
         }
 
@@ -247,20 +247,26 @@ class TrackingRecipe(Recipe):
     def _is_last_of_stage(self, index: int) -> bool:
         return index + 1 == len(self._plan) or self._plan[index + 1][0] is not self._plan[index][0]
 
-    def _settle(self, p: ClothParameters, *, last_window: bool) -> None:
-        """Note stiffness and wind of this window; after the last one, return to their mean."""
+    def _settle(self, reconstruction: Reconstruction, *, last_window: bool) -> None:
+        """Note stiffness, wind and effects of this window; after the last one, return to their mean."""
+        p, effects = reconstruction.parameters, reconstruction.effects
         stiffness = [p.get_parameter(name).item() for name in ClothParameters.STIFFNESSES]
-        self._walk.append(np.concatenate((np.log(stiffness), p.wind.detach().numpy())))
+        self._walk.append(np.concatenate((np.log(stiffness), p.wind.detach().numpy(), effects.current())))
         if not last_window:
             return
         mean = np.mean(self._walk[len(self._walk) // 2 :], axis=0)
+        wind, values = mean[3:6], mean[6:]
         self._walk = []
         with torch.no_grad():
             for name, value in zip(ClothParameters.STIFFNESSES, np.exp(mean[:3]), strict=True):
                 p.get_parameter(name).fill_(float(value))
-            masses = self._relative_mass
-            p.turbulence.add_(masses * (p.wind - torch.from_numpy(mean[3:])))
-            p.wind.copy_(torch.from_numpy(mean[3:]))
+            if len(effects):
+                p.turbulence.add_(force_change(reconstruction, values, wind))
+            else:
+                p.turbulence.add_(self._relative_mass * (p.wind - torch.from_numpy(wind)))
+            p.wind.copy_(torch.from_numpy(wind))
+            if effects.values is not None:
+                effects.values.copy_(torch.from_numpy(values))
 
     def _extend(self, p: ClothParameters, last: int) -> None:
         """Start new frames from the forces and anchors of the last known ones."""

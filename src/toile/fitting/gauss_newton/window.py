@@ -10,7 +10,7 @@ adjoint rollout per iteration, both from the factorisations that the simulation 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -62,6 +62,30 @@ class WindowResult:
     notes: list[str]
 
 
+@dataclass(frozen=True)
+class Motion:
+    """A simulated window.
+
+    Attributes:
+        simulator: that made it.
+        start: state it began with.
+        rollout: batch of one.
+    """
+
+    simulator: LinearizableSimulator
+    start: State
+    rollout: Rollout
+
+    @property
+    def positions(self) -> Array:
+        """Of the frames (n + 1, N, 3) [m]."""
+        return np.asarray(self.rollout.positions[0].numpy())
+
+    def linearized(self, *, with_inertia: bool) -> LinearizedRollout:
+        """Its derivatives, by masses and time step too if asked for."""
+        return LinearizedRollout(self.simulator, self.rollout, start=self.start if with_inertia else None)
+
+
 @torch.no_grad()
 def state_at(reconstruction: Reconstruction, substep_positions: Array | None, frame: int) -> State:
     """State at a frame: the start of the clip, or the stored positions up to that frame."""
@@ -72,8 +96,11 @@ def state_at(reconstruction: Reconstruction, substep_positions: Array | None, fr
     past = torch.from_numpy(
         np.stack([substep_positions[max(index - k, 0)] for k in range(simulator.n_past + 1)])
     )
-    # Velocities follow from the past positions; simulators of implicit steps read only those.
+    # Simulators of implicit steps read the past positions; velocities are for the effects.
     velocity = (past[0] - past[1]) / simulator.time_step
+    if len(reconstruction.effects) and isinstance(simulator, LinearizableSimulator):
+        weights = torch.tensor(simulator.integrator.formula(index - 1).velocity, dtype=past.dtype)
+        velocity = torch.tensordot(weights, past[: len(weights)], 1) / simulator.time_step
     return State(past[0][None], velocity[None], past[None, 1:], steps=index)
 
 
@@ -103,29 +130,32 @@ def minimise_window(
         cg_iterations: iterations of the linear solver at most.
         cg_tolerance: its residual relative to the gradient.
     """
-    simulator = reconstruction.simulator
-    if not isinstance(simulator, LinearizableSimulator):
-        raise TypeError(
-            f"Gauss-Newton needs a simulator that linearises its steps, got {type(simulator).__name__}"
-        )
     first = unknowns.first
-    template = reconstruction.template.numpy()[simulator.cloth.held.numpy()]
+    nominal = reconstruction.simulator
     newton = 0
 
-    def simulate(z: Vector, guess: Array | None, *, linearize: bool) -> tuple[Rollout, bool]:
+    def simulate(z: Vector, guess: Array | None, *, linearize: bool) -> tuple[Motion, bool]:
         nonlocal newton
-        anchors = template + unknowns.anchor_motion(z)
+        given = unknowns.inputs(z, linearize=linearize)
+        simulator, anchors = given.simulator, given.anchors
+        if not isinstance(simulator, LinearizableSimulator):
+            raise TypeError(
+                f"Gauss-Newton needs a simulator that linearises its steps, got {type(simulator).__name__}"
+            )
         state = start
         if first == 0:
             positions = start.positions.clone()
             positions[0, simulator.cloth.held] = torch.from_numpy(anchors[0])
             state = State.start(positions, start.velocities, simulator.time_step, simulator.n_past)
+        elif simulator.time_step != nominal.time_step:
+            # The positions before are what they are; another clock makes other velocities of them.
+            state = replace(start, velocities=start.velocities * (nominal.time_step / simulator.time_step))
         stiffness = torch.from_numpy(unknowns.si_stiffness(z))[:, None]
         result = rollout(
             simulator,
             state,
             Material(stiffness[0], stiffness[1], stiffness[2]),
-            torch.from_numpy(unknowns.forces(z))[None],
+            torch.from_numpy(given.forces)[None],
             torch.from_numpy(anchors)[None],
             reconstruction.substeps,
             None if guess is None else torch.from_numpy(guess)[None],
@@ -133,10 +163,11 @@ def minimise_window(
             throw=False,
         )
         newton += result.newton_iterations
-        return result, all(step.status[0] is StepStatus.CONVERGED for step in result.steps)
+        converged = all(step.status[0] is StepStatus.CONVERGED for step in result.steps)
+        return Motion(simulator, state, result), converged
 
-    def evaluate(motion: Rollout, seen: NDArray[np.float32] | None, *, derivatives: bool) -> PointTermValue:
-        return term.evaluate(motion.positions[0].numpy(), first, seen, derivatives=derivatives)
+    def evaluate(motion: Motion, seen: NDArray[np.float32] | None, *, derivatives: bool) -> PointTermValue:
+        return term.evaluate(motion.positions, first, seen, derivatives=derivatives)
 
     notes: list[str] = []
     z = unknowns.start()
@@ -150,28 +181,38 @@ def minimise_window(
     seen: NDArray[np.float32] | None = None
     objective = np.inf
     for iteration in range(iterations):
-        positions = motion.positions[0].numpy()
+        positions = motion.positions
         seen = None if visibility is None else visibility(positions)
         value = evaluate(motion, seen, derivatives=True)
         objective = value.total + 0.5 * dot(z, z)
-        linear = LinearizedRollout(simulator, motion)
-        gradient = axpy(1.0, z, unknowns.adjoint(z, linear.adjoint(value.gradient)))
+        linear = motion.linearized(with_inertia=reconstruction.effects.change_inertia)
+        full = axpy(1.0, z, unknowns.adjoint(z, linear.adjoint(value.gradient)))
+        gradient = unknowns.stopped(z, full, full)
 
         def hessian(
-            d: Vector, at: Vector = z, jac: LinearizedRollout = linear, v: PointTermValue = value
+            d: Vector,
+            at: Vector = z,
+            jac: LinearizedRollout = linear,
+            v: PointTermValue = value,
+            slope: Vector = full,
         ) -> Vector:
             change = term.apply(v, jac.tangent(unknowns.tangent(at, d)))
-            return axpy(1.0, d, unknowns.adjoint(at, jac.adjoint(change)))
+            return unknowns.stopped(at, axpy(1.0, d, unknowns.adjoint(at, jac.adjoint(change))), slope)
 
         solution = conjugate_gradients.solve(hessian, gradient, cg_iterations, cg_tolerance)
         linear_iterations += solution.iterations
         length = 1.0
         more = iteration + 1 < iterations
         for _ in range(_MAX_TRIALS):
-            trial = axpy(length, solution.step, z)
+            trial = unknowns.within_bounds(axpy(length, solution.step, z))
             # From the past alone: a step of a buckling cloth has several equilibria, and what is kept must be
             # what the forces give on their own. The linear prediction as a start would halve the iterations.
-            trial_motion, converged = simulate(trial, None, linearize=more)
+            try:
+                trial_motion, converged = simulate(trial, None, linearize=more)
+            except FloatingPointError:
+                # Effects can be strong enough to blow up a step.
+                length *= _BACKTRACK
+                continue
             trial_value = evaluate(trial_motion, seen, derivatives=False)
             trial_objective = trial_value.total + 0.5 * dot(trial, trial)
             if converged and trial_objective < objective:
@@ -197,7 +238,7 @@ def minimise_window(
         objective=float(objective),
         colour=value.colour,
         mask=value.mask,
-        positions=motion.all_positions[0].numpy(),
+        positions=motion.rollout.all_positions[0].numpy(),
         iterations=accepted,
         conjugate_gradients=linear_iterations,
         newton=newton,

@@ -53,7 +53,7 @@ _ALL = (
         "air_drag",
         "mechanics",
         "Isotropic viscous drag on every vertex; `air_damping` in Blender's unit.",
-        {"air_damping": 0.4},
+        {"air_damping": 0.3},
         "air_damping",
     ),
     BlenderEffect(
@@ -112,7 +112,7 @@ _ALL = (
         "gusts",
         "actuation",
         "A wind field that swells and ebbs twice, of `strength` in Blender's unit, on the faces' normals.",
-        {"strength": 9000.0},
+        {"strength": 15000.0},
         "strength",
         ("mechanics",),
     ),
@@ -121,7 +121,7 @@ _ALL = (
         "actuation",
         "The second held corner slides by `distance` [m] towards the first and down, from `start` on, in "
         "`duration` (fractions of the clip).",
-        {"distance": 0.04, "start": 0.3, "duration": 0.2},
+        {"distance": 0.02, "start": 0.3, "duration": 0.2},
         "distance",
     ),
     BlenderEffect(
@@ -159,7 +159,7 @@ _ALL = (
         "vortex_field",
         "mechanics",
         "Forces around a vertical axis through the cloth's middle, of `strength` in Blender's unit.",
-        {"strength": 1200.0},
+        {"strength": 150.0},
         "strength",
         ("actuation",),
         in_catalogue=False,

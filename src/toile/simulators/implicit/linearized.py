@@ -9,8 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
+from toile.cloth.state import State
 from toile.simulators.implicit.newton import Linearization
 from toile.simulators.linearizable import LinearizableSimulator
 from toile.simulators.rollout import Rollout
@@ -33,6 +35,8 @@ class Perturbation:
         velocities: initial velocities (N, 3) [m/s].
         values: numbers inside the step terms, one term after the other, those that require gradients;
             none is no change.
+        inertia: relative change of every vertex's mass over squared time step (N,), beside the forces that
+            a mass or a clock changes; none is no change.
     """
 
     forces: Array
@@ -41,6 +45,7 @@ class Perturbation:
     positions: Array
     velocities: Array
     values: Array = field(default_factory=lambda: np.zeros(0))
+    inertia: Array = field(default_factory=lambda: np.zeros(0))
 
 
 class LinearizedRollout:
@@ -50,9 +55,13 @@ class LinearizedRollout:
         simulator: the simulator of the rollout.
         rollout: made with ``linearize=True``.
         scene: index in the batch.
+        start: state that the rollout began with; without it derivatives by the inertia are left out. They
+            treat what step terms know of masses and time step as given.
     """
 
-    def __init__(self, simulator: LinearizableSimulator, rollout: Rollout, scene: int = 0) -> None:
+    def __init__(
+        self, simulator: LinearizableSimulator, rollout: Rollout, scene: int = 0, start: State | None = None
+    ) -> None:
         self.simulator = simulator
         self.substeps = rollout.substeps
         self.steps: list[Linearization] = [step.linearization[scene] for step in rollout.steps]
@@ -71,6 +80,13 @@ class LinearizedRollout:
             simulator.integrator.formula(first + step).velocity for step in range(len(self.steps) - 1)
         ]
         self._h = simulator.time_step
+        self._imbalance: list[Array] = []
+        if start is not None:
+            motion = torch.cat((start.past[scene].flip(0), rollout.all_positions[scene])).detach().numpy()
+            k = start.past.shape[1]
+            for n, (step, weights) in enumerate(zip(self.steps, self._coefficients, strict=True)):
+                away = motion[n + k + 1] - sum(c * motion[n + k - i] for i, c in enumerate(weights))
+                self._imbalance.append(step.inertia[:, None] * away)
 
     @property
     def exact(self) -> bool:
@@ -93,6 +109,8 @@ class LinearizedRollout:
         for n, step in enumerate(self.steps):
             frame, sub = n // self.substeps, n % self.substeps + 1
             right = change.forces[frame] - np.tensordot(change.stiffness, step.unit_gradients, 1)
+            if len(change.inertia):
+                right -= change.inertia[:, None] * self._imbalance[n]
             prediction = sum(c * x for c, x in zip(self._coefficients[n], history, strict=True))
             right += step.inertia[:, None] * prediction
             if moving:
@@ -104,13 +122,15 @@ class LinearizedRollout:
                 if n > 0:
                     weights = np.array(self._velocities[n - 1]) / self._h
                     velocity = np.tensordot(weights, np.stack(history[: len(weights)]), 1)
-                right += step.memory.tangent(
-                    history[0],
-                    velocity,
-                    anchor if moving else np.zeros((len(held), 3)),
-                    change.stiffness,
-                    change.values,
-                )
+                # Fits run without gradients; these derivatives are made of some.
+                with torch.enable_grad():
+                    right += step.memory.tangent(
+                        history[0],
+                        velocity,
+                        anchor if moving else np.zeros((len(held), 3)),
+                        change.stiffness,
+                        change.values,
+                    )
             x = assembly.from_band(step.factor.solve(assembly.to_band(right * free)))
             x[held] = anchor if moving else 0.0
             history = [x, *history[:-1]]
@@ -129,6 +149,7 @@ class LinearizedRollout:
             np.zeros((n, 3)),
             np.zeros((n, 3)),
             np.zeros(0 if self.steps[0].memory is None else self.steps[0].memory.n_values),
+            np.zeros(n if self._imbalance else 0),
         )
         # pending[i]: gradient with respect to the position i + 1 steps before the one about to be treated.
         pending = [np.zeros((n, 3)) for _ in range(k)]
@@ -141,6 +162,8 @@ class LinearizedRollout:
             adjoint = assembly.from_band(step.factor.solve(assembly.to_band(g * free)))
             to.forces[frame] += adjoint
             to.stiffness -= (step.unit_gradients * adjoint).sum((1, 2))
+            if self._imbalance:
+                to.inertia -= (self._imbalance[index] * adjoint).sum(-1)
             anchor = g[held] - (step.coupling @ adjoint.reshape(-1)).reshape(-1, 3)
             pending.append(np.zeros((n, 3)))
             if step.memory is not None:

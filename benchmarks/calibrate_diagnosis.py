@@ -1,0 +1,121 @@
+"""Calibrate the diagnosis on scenes whose effect is known: ``calibration.json`` of the package.
+
+    python benchmarks/calibrate_diagnosis.py labels.json RUN [RUN ...] --source "what the scenes are"
+
+``labels.json`` maps the name of a run's folder to its effect: a name of the catalogue, ``none``, or any other
+name for what is outside. A run is the folder of one ``toile diagnose``. For each effect the scenes in which
+nothing of its kind acts say what evidence is usual; threshold, temperature and the point of ``unknown`` then
+make the known answers as probable as possible. Scenes used here are no test of anything.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from toile.atomic_file import write_text
+from toile.diagnosis.decision import NONE, UNKNOWN, Calibration, probabilities
+from toile.diagnosis.diagnose import SCREENING_FILE
+from toile.effects.base import Stage
+from toile.effects.catalogue import STAGES
+
+MOVING = (Stage.MECHANICS, Stage.ACTUATION)
+TARGET = Path(__file__).parent.parent / "src/toile/diagnosis/calibration.json"
+
+
+@dataclass(frozen=True)
+class Case:
+    """One diagnosed scene.
+
+    Attributes:
+        name: of the run's folder.
+        truth: catalogue name, NONE or UNKNOWN.
+        evidence: by effect, and for UNKNOWN.
+    """
+
+    name: str
+    truth: str
+    evidence: dict[str, float]
+
+
+def read_case(run: Path, labels: dict[str, str]) -> Case:
+    """One run with its label."""
+    with np.load(run / SCREENING_FILE) as stored:
+        evidence = dict(zip(stored["names"].tolist(), stored["log_evidence"].tolist(), strict=True))
+        evidence[UNKNOWN] = float(stored["unknown"])
+    label = labels[run.name]
+    truth = label if label in STAGES or label == NONE else UNKNOWN
+    return Case(run.name, truth, evidence)
+
+
+def is_quiet(case: Case, effect: str) -> bool:
+    """Whether nothing acts in the scene that the effect could be mistaken for."""
+    if case.truth == NONE:
+        return True
+    if case.truth == UNKNOWN:
+        return False
+    stage = MOVING if STAGES[effect] in MOVING else (STAGES[effect],)
+    return STAGES[case.truth] not in stage
+
+
+def calibrate(cases: list[Case], source: str) -> Calibration:
+    """Usual evidence from quiet scenes, the rest by the probability of the known answers."""
+    usual, spread = {}, {}
+    for effect in STAGES:
+        values = [c.evidence[effect] for c in cases if effect in c.evidence and is_quiet(c, effect)]
+        if len(values) >= 3:
+            usual[effect] = float(np.mean(values))
+            spread[effect] = max(1.0, float(np.std(values, ddof=1)))
+    quiet = [
+        c.evidence[UNKNOWN] for c in cases if c.truth == NONE or STAGES.get(c.truth) not in (None, *MOVING)
+    ]
+    usual[UNKNOWN] = float(np.mean(quiet)) if quiet else 0.0
+    spread[UNKNOWN] = max(1.0, float(np.std(quiet, ddof=1))) if len(quiet) > 2 else 1.0
+    best: tuple[float, Calibration] | None = None
+    for temperature, threshold, unknown in itertools.product(
+        (0.5, 0.75, 1.0, 1.5), (2.0, 2.5, 3.0, 4.0, 5.0), (2.0, 3.0, 4.0, 6.0, 8.0)
+    ):
+        tried = Calibration(usual, spread, temperature, threshold, unknown, source)
+        score = sum(np.log(probabilities(c.evidence, tried).get(c.truth, 0.0) + 1e-3) for c in cases)
+        if best is None or score > best[0]:
+            best = float(score), tried
+    assert best is not None
+    return best[1]
+
+
+def main() -> None:
+    """See the module."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("labels", type=Path)
+    parser.add_argument("runs", type=Path, nargs="+")
+    parser.add_argument("--source", required=True)
+    parser.add_argument("--target", type=Path, default=TARGET)
+    arguments = parser.parse_args()
+    labels = json.loads(arguments.labels.read_text())
+    cases = [read_case(run, labels) for run in arguments.runs if run.name in labels]
+    found = calibrate(cases, arguments.source)
+    right = 0
+    for case in cases:
+        chances = probabilities(case.evidence, found)
+        first, chance = next(iter(chances.items()))
+        right += first == case.truth
+        print(
+            f"{case.name:34s} {case.truth:22s} {first:22s} {chance:.2f} truth {chances.get(case.truth, 0):.2f}"
+        )
+    print(f"{right} of {len(cases)} right on the scenes it was made from")
+    values = {
+        k: {n: round(v, 3) for n, v in d.items()} if isinstance(d, dict) else d
+        for k, d in asdict(found).items()
+    }
+    write_text(arguments.target, json.dumps(values, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,35 @@
+"""Which effects leave the same trace on a clip, and how weak they may be to be seen there."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from toile.diagnosis.decision import Calibration
+from toile.diagnosis.mechanics import Mechanics
+from toile.evaluation.diagnosis_record import Alias
+
+
+def alias_of(mechanics: Mechanics, size: float, calibration: Calibration) -> Alias:
+    """Which effects leave the same trace on this clip, and how weak they may be."""
+    fisher = mechanics.evidence.fisher(size)
+    names = list(mechanics.columns)
+    blocks = [slice(*mechanics.columns[name]) for name in names]
+    roots = []
+    for block in blocks:
+        values, vectors = np.linalg.eigh(fisher[block, block] + 1e-3 * np.eye(block.stop - block.start))
+        roots.append(vectors / np.sqrt(np.maximum(values, 1e-9)) @ vectors.T)
+    matrix = np.eye(len(names))
+    for i in range(len(names)):
+        for j in range(i):
+            cross = roots[i] @ fisher[blocks[i], blocks[j]] @ roots[j]
+            matrix[i, j] = matrix[j, i] = min(1.0, float(np.linalg.norm(cross, 2)))
+    limits: dict[str, float | None] = {}
+    for name, block in zip(names, blocks, strict=True):
+        information = float(fisher[block.start, block.start])
+        needed = calibration.usual.get(name, 0.0) + calibration.threshold * max(
+            calibration.spread.get(name, 1.0), 1.0
+        )
+        parameter = mechanics.effects[name].parameters[0]
+        limit = float(np.sqrt(2 * max(needed, 1.0) / max(information, 1e-12))) * parameter.scale
+        limits[name] = limit if limit <= max(abs(parameter.low), abs(parameter.high)) else None
+    return Alias(tuple(names), tuple(tuple(float(v) for v in row) for row in matrix), limits)

@@ -1,0 +1,115 @@
+"""What every candidate has going for it, from whichever trace it leaves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toile.diagnosis.mechanics import Mechanics
+from toile.effects.base import CameraEffect, Effect
+from toile.evaluation.diagnosis_record import Estimate
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What one candidate has going for it.
+
+    Attributes:
+        log_evidence: against the base model.
+        mean, deviation: of its numbers in their own units, by name.
+    """
+
+    log_evidence: float
+    mean: dict[str, float]
+    deviation: dict[str, float]
+
+
+def finding(effect: Effect, log_evidence: float, mean: Array, covariance: Array) -> Finding:
+    """A finding in the effect's own units from numbers in prior deviations, (n,) and (n, n)."""
+    scales = effect.scales.numpy()
+    deviation = np.sqrt(np.maximum(np.diag(covariance), 0)) * scales
+    names = [parameter.name for parameter in effect.parameters]
+    return Finding(
+        float(log_evidence),
+        dict(zip(names, (mean * scales).tolist(), strict=True)),
+        dict(zip(names, deviation.tolist(), strict=True)),
+    )
+
+
+@dataclass(frozen=True)
+class Screening:
+    """What the motion says.
+
+    Attributes:
+        findings: of effects that move the cloth.
+        discrepancy: size of the forces that the base model lacks [m/s²].
+        unknown: log evidence that forces beyond the usual are missing.
+    """
+
+    findings: dict[str, Finding]
+    discrepancy: float
+    unknown: float
+
+
+def mechanical_findings(mechanics: Mechanics, usual: float) -> Screening:
+    """Evidence of every effect that moves the cloth.
+
+    Effects have to do with the usual discrepancy; what needs more is outside the catalogue. Wrong cameras are
+    left to the outline of frame 0, as a motion that does not fit passes for one easily.
+
+    Args:
+        mechanics: see Mechanics.
+        usual: size of the discrepancy of a right model [m/s²].
+    """
+    evidence = mechanics.evidence
+    base = evidence.posterior((), usual)
+    free = evidence.posterior(())
+    findings: dict[str, Finding] = {}
+    for name, (a, b) in mechanics.columns.items():
+        effect = mechanics.effects[name]
+        if isinstance(effect, CameraEffect):
+            continue
+        low = np.array([0.0 if p.low == 0 else -np.inf for p in effect.parameters])
+        columns = list(range(evidence.n_base + a, evidence.n_base + b))
+        best = evidence.signed(columns, low, usual)
+        mean, covariance = np.zeros(b - a), np.zeros((b - a, b - a))
+        at = [c - evidence.n_base - a for c in best.columns]
+        mean[at] = best.mean
+        covariance[np.ix_(at, at)] = best.covariance
+        findings[name] = finding(effect, best.log_evidence - base.log_evidence, mean, covariance)
+    return Screening(findings, free.discrepancy, free.log_evidence - base.log_evidence)
+
+
+def naive_answer(mechanics: Mechanics, findings: Mapping[str, Finding]) -> str:
+    """The candidate with the largest drop of the training loss: the baseline to beat."""
+    evidence = mechanics.evidence
+    drops = {name: f.log_evidence for name, f in findings.items() if name not in mechanics.columns}
+    for name, (a, b) in mechanics.columns.items():
+        columns = list(range(evidence.n_base + a, evidence.n_base + b))
+        drop = evidence.loss_drop(columns, mechanics.shooting.settings.force)
+        drops[name] = max(drop, drops.get(name, -np.inf))
+    return max(drops, key=lambda name: drops[name])
+
+
+def estimates(found: Finding, effect: Effect) -> dict[str, Estimate]:
+    """Estimates with 90 % intervals within the bounds."""
+    out = {}
+    for parameter in effect.parameters:
+        mean = float(np.clip(found.mean[parameter.name], parameter.low, parameter.high))
+        reach = 1.645 * _WIDENED * found.deviation[parameter.name]
+        out[parameter.name] = Estimate(
+            mean,
+            float(np.clip(mean - reach, parameter.low, parameter.high)),
+            float(np.clip(mean + reach, parameter.low, parameter.high)),
+            parameter.unit,
+        )
+    return out
+
+
+# Intervals of the linearised model are too narrow by about this factor.
+_WIDENED = 2.0

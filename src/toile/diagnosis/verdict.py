@@ -1,0 +1,62 @@
+"""The answer in words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from toile.diagnosis.decision import NONE, UNKNOWN, Calibration, confidence_set
+from toile.diagnosis.recordings import next_recording
+from toile.effects.catalogue import STAGES
+from toile.evaluation.diagnosis_record import AMBIGUOUS, Shrink, Verdict
+
+
+def verdict_of(
+    found: Mapping[str, float],
+    evidence: Mapping[str, float],
+    calibration: Calibration,
+    shrinks: Mapping[str, Shrink],
+) -> Verdict:
+    """The verdict from probabilities, most probable first, and the evidence they come from."""
+    candidates = confidence_set(found)
+    first = candidates[0]
+    also = None
+    if len(candidates) == 1 and first in evidence:
+        # Another stage leaves a trace of its own: both act.
+        others = {
+            name: calibration.score(name, value)
+            for name, value in evidence.items()
+            if STAGES[name] != STAGES[first]
+        }
+        strongest = max(others, key=lambda name: others[name], default=None)
+        if strongest is not None and others[strongest] > 2 * calibration.threshold:
+            also = strongest
+    if len(candidates) > 1:
+        stages = {STAGES[c].value for c in candidates if c in STAGES}
+        stage = stages.pop() if len(stages) == 1 else UNKNOWN
+        listed = ", ".join(candidates)
+        return Verdict(
+            AMBIGUOUS,
+            candidates,
+            stage,
+            float(sum(found[c] for c in candidates)),
+            f"This clip cannot tell {listed} apart.",
+            next_recording(candidates),
+        )
+    if first == NONE:
+        return Verdict(
+            NONE, candidates, NONE, found[NONE], "The base model explains the clip to within its noise.", ""
+        )
+    if first == UNKNOWN:
+        return Verdict(
+            UNKNOWN,
+            candidates,
+            UNKNOWN,
+            found[UNKNOWN],
+            "Forces beyond the usual are missing, and no effect of the catalogue supplies them.",
+            next_recording(candidates),
+        )
+    reason = f"{first} explains what the base model misses."
+    if first in shrinks:
+        s = shrinks[first]
+        reason += f" Held-out error goes from {s.base:.1f} to {s.with_effect:.1f} mm."
+    return Verdict(first, candidates, STAGES[first].value, found[first], reason, "", also)

@@ -1,0 +1,131 @@
+"""A diagnosis in sentences: what page, dashboard and terminal say alike, as plain text."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from toile.effects.base import Stage
+from toile.evaluation.diagnosis_record import AMBIGUOUS, NONE, UNKNOWN, GapReport, Shrink
+
+_SPOKEN = {
+    NONE: "no gap at all",
+    UNKNOWN: "something outside the catalogue",
+    "contact": "contact with an obstacle",
+    "focal_error": "a wrong focal length",
+    "frame_rate": "a wrong frame rate",
+    "gravity_tilt": "tilted gravity",
+    "mask_bias": "a biased mask",
+    "shading": "changing light",
+    "anisotropic_stiffness": "anisotropic stiffness",
+}
+"""Names that would not read well in a sentence."""
+_NAMED = 3
+"""Candidates that a headline names."""
+STAGES = {
+    Stage.NUMERICS.value: "solver and time step",
+    Stage.ACTUATION.value: "held vertices, gusts",
+    Stage.MECHANICS.value: "cloth, air and obstacles",
+    Stage.CAMERA.value: "focal length and lens",
+    Stage.APPEARANCE.value: "light and exposure",
+    Stage.OBSERVATION.value: "the masks",
+}
+"""What belongs to every stage, from forces to pixels."""
+
+
+def spoken(name: str) -> str:
+    """An effect's name, or NONE or UNKNOWN, as it stands in a sentence."""
+    return _SPOKEN.get(name, name.replace("_", " "))
+
+
+def plain_name(name: str) -> str:
+    """An effect's name without underscores."""
+    return {NONE: "no gap", UNKNOWN: "outside the catalogue"}.get(name, name.replace("_", " "))
+
+
+def listed(names: Sequence[str], last: str) -> str:
+    """Names as "a, b or c" with ``last`` = "or"."""
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {last} {names[-1]}"
+
+
+def percent(share: float) -> str:
+    """A share as a whole percentage; probabilities are neither 0 nor 1."""
+    if 0 < share < 0.005:
+        return "< 1 %"
+    if 0.995 < share < 1:
+        return "> 99 %"
+    return f"{100 * share:.0f} %".replace("-", "−")
+
+
+def answer(report: GapReport) -> str:
+    """The answer in one sentence."""
+    verdict = report.verdict
+    if verdict.effect == NONE:
+        return "No gap: the model explains this clip."
+    if verdict.effect == UNKNOWN:
+        return "The gap is real, and its cause is outside the catalogue."
+    if verdict.effect == AMBIGUOUS:
+        names = [spoken(name) for name in verdict.candidates] or ["several causes"]
+        if len(names) > _NAMED + 1:
+            names = [*names[:_NAMED], f"one of {len(names) - _NAMED} others"]
+        text = listed(names, "or")
+        return f"{text[:1].upper()}{text[1:]}: this clip cannot tell."
+    names = [spoken(verdict.effect), *([spoken(verdict.also)] if verdict.also else [])]
+    return f"The gap is {listed(names, 'and')}."
+
+
+def certainty(report: GapReport) -> str:
+    """How sure the answer is, and where along the way from forces to pixels it lies."""
+    verdict = report.verdict
+    probability = percent(verdict.probability)
+    stage = f"It acts in the {verdict.stage} stage." if verdict.stage in STAGES else ""
+    if verdict.effect == NONE:
+        return f"Probability {probability}: nothing that the catalogue or a free force could add is needed."
+    if verdict.effect == UNKNOWN:
+        return f"Probability {probability}: forces are missing, and no effect of the catalogue supplies them."
+    if verdict.effect == AMBIGUOUS:
+        found = {effect.name: effect.probability for effect in report.effects}
+        each = [f"{plain_name(c)} {percent(found[c])}" for c in verdict.candidates if c in found]
+        text = f"Together they hold {probability} of the probability"
+        text += f": {', '.join(each)}." if each else "."
+        return f"{text} Every effect among them acts in the {verdict.stage} stage." if stage else text
+    return f"Probability {probability}. {stage}".strip()
+
+
+def shrinkage(shrink: Shrink) -> str:
+    """How far the held-out error falls, and whether more than with a placebo."""
+    what, unit = metric_and_unit(shrink.metric)
+    change = "falls" if shrink.estimate >= 0 else "grows"
+    numbers = f"from {shrink.base:.3g} to {shrink.with_effect:.3g} {unit}".strip()
+    less = "less" if shrink.estimate >= 0 else "more"
+    ends = sorted(abs(v) if shrink.low * shrink.high >= 0 else v for v in (shrink.low, shrink.high))
+    interval = f"{percent(abs(shrink.estimate))} {less} ({percent(ends[0])} to {percent(ends[1])})"
+    text = f"On {shrink.held_out}, which no fit has seen, the error ({what}) {change} {numbers}: {interval}"
+    if shrink.best_placebo is None:
+        return f"{text}."
+    gain = percent(shrink.best_placebo)
+    if beats_placebo(shrink):
+        return f"{text}; the best placebo reaches {gain}."
+    return f"{text}. That is not clearly more than the best placebo's {gain}, so no shrinkage is claimed."
+
+
+def beats_placebo(shrink: Shrink) -> bool:
+    """Whether the lower end of the interval is above the best placebo, and above nothing."""
+    return shrink.low > max(0.0, shrink.best_placebo or 0.0)
+
+
+def metric_and_unit(metric: str) -> tuple[str, str]:
+    """("distance", "mm") from "distance [mm]"."""
+    found = re.fullmatch(r"(.*\S)\s*\[(.+)\]", metric)
+    return (found[1], found[2]) if found else (metric, "")
+
+
+def frame_ranges(frames: Sequence[int]) -> str:
+    """Indices as "0 to 29, 35"; "none" for no frames."""
+    ranges: list[list[int]] = []
+    for frame in sorted(frames):
+        if ranges and frame == ranges[-1][1] + 1:
+            ranges[-1][1] = frame
+        else:
+            ranges.append([frame, frame])
+    return ", ".join(str(a) if a == b else f"{a} to {b}" for a, b in ranges) or "none"

@@ -1,0 +1,63 @@
+"""The outline of frame 0 tells a wrong camera and a wrong mask apart."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+from scipy.ndimage import binary_dilation, binary_erosion
+
+from toile.diagnosis.border import border, border_evidence
+from toile.effects.catalogue import CATALOGUE
+from toile.generation.generator import GeneratorSettings, generate
+from toile.generation.textures import procedural_texture
+from toile.scenes.scene import Scene
+
+NAMES = ("focal_error", "lens_distortion", "mask_bias")
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    """One frame of a cloth that fills most of a 240 px image."""
+    settings = GeneratorSettings(
+        grid=(10, 10),
+        refinement=1,
+        substeps=1,
+        n_frames=2,
+        image_size=(240, 240),
+        focal_length=330.0,
+        noise=0.0,
+    )
+    return generate(settings, procedural_texture(200, 200, 0))[0]
+
+
+def evidence(scene: Scene) -> dict[str, float]:
+    outline = border(scene)
+    return {name: border_evidence(CATALOGUE[name](), scene, outline).log_evidence for name in NAMES}
+
+
+def test_a_right_scene_speaks_for_nothing(scene: Scene) -> None:
+    assert max(evidence(scene).values()) < 0
+    assert abs(float(border(scene).distances.mean())) < 0.25
+
+
+@pytest.mark.parametrize("pixels", [3, -3])
+def test_a_grown_or_shrunken_mask(scene: Scene, pixels: int) -> None:
+    change = binary_dilation if pixels > 0 else binary_erosion
+    masks = torch.from_numpy(change(scene.masks[0].numpy() > 0.5, iterations=abs(pixels))).float()
+    wrong = replace(scene, masks=masks[None].expand_as(scene.masks))
+    found = evidence(wrong)
+    assert max(found, key=lambda name: found[name]) == "mask_bias"
+    assert found["mask_bias"] > 20
+    fit = border_evidence(CATALOGUE["mask_bias"](), wrong, border(wrong))
+    assert float(fit.mean[0]) * CATALOGUE["mask_bias"]().scales[0] == pytest.approx(pixels, abs=1)
+
+
+def test_a_wrong_focal_length(scene: Scene) -> None:
+    camera = replace(scene.camera, fx=scene.camera.fx / 1.06, fy=scene.camera.fy / 1.06)
+    wrong = replace(scene, camera=camera)
+    found = evidence(wrong)
+    assert max(found, key=lambda name: found[name]) == "focal_error"
+    fit = border_evidence(CATALOGUE["focal_error"](), wrong, border(wrong))
+    assert float(fit.mean[0]) * CATALOGUE["focal_error"]().scales[0] == pytest.approx(0.06, abs=0.01)

@@ -1,0 +1,57 @@
+"""Probabilities, confidence sets and verdicts."""
+
+from __future__ import annotations
+
+import pytest
+
+from toile.diagnosis.decision import NONE, UNKNOWN, Calibration, confidence_set, probabilities
+from toile.diagnosis.verdict import verdict_of
+from toile.effects.catalogue import CATALOGUE
+from toile.evaluation.diagnosis_record import AMBIGUOUS
+
+CALIBRATION = Calibration({"frame_rate": 10.0}, {"frame_rate": 5.0}, 1.0, 4.0, 6.0, "test")
+
+
+def test_the_shipped_calibration_knows_catalogue_names_only() -> None:
+    shipped = Calibration.load()
+    assert {*shipped.usual, *shipped.spread} <= {*CATALOGUE, UNKNOWN}
+    assert shipped.temperature > 0
+
+
+def test_nothing_found_is_none() -> None:
+    found = probabilities({"air_drag": -3.0, UNKNOWN: 0.0}, CALIBRATION)
+    assert next(iter(found)) == NONE
+    assert confidence_set(found) == (NONE,)
+    assert sum(found.values()) == pytest.approx(1)
+
+
+def test_what_is_usual_counts_for_nothing() -> None:
+    found = probabilities({"frame_rate": 12.0, "air_drag": 12.0}, CALIBRATION)
+    assert next(iter(found)) == "air_drag"
+    assert found["frame_rate"] < 0.01
+
+
+def verdict(evidence: dict[str, float]):
+    found = probabilities(evidence, CALIBRATION)
+    known = {name: value for name, value in evidence.items() if name != UNKNOWN}
+    return verdict_of(found, known, CALIBRATION, {})
+
+
+def test_two_equals_are_ambiguous_and_name_the_recording_that_parts_them() -> None:
+    answer = verdict({"air_drag": 20.0, "internal_damping": 20.5})
+    assert answer.effect == AMBIGUOUS
+    assert set(answer.candidates) == {"air_drag", "internal_damping"}
+    assert answer.stage == "mechanics"
+    assert "shaken" in answer.next_recording
+
+
+def test_forces_that_nothing_supplies_are_unknown() -> None:
+    answer = verdict({"air_drag": 3.0, UNKNOWN: 40.0})
+    assert answer.effect == UNKNOWN
+    assert answer.next_recording
+
+
+def test_a_second_stage_with_a_trace_of_its_own_is_named_too() -> None:
+    answer = verdict({"air_drag": 40.0, "mask_bias": 25.0})
+    assert (answer.effect, answer.also) == ("air_drag", "mask_bias")
+    assert verdict({"air_drag": 40.0, "mask_bias": 5.0}).also is None

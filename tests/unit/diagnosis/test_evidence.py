@@ -1,0 +1,101 @@
+"""Evidence against the multivariate normal that it abbreviates."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from toile.diagnosis.evidence import DISCREPANCIES, Evidence, WindowSystem
+
+
+def problem(seed: int, true: float, force: float = 0.4):
+    """Two windows with 30 measurements each of [2 base | 2 effect | 3 local | 2 forces], noise 1."""
+    rng = np.random.default_rng(seed)
+    systems, jacobians, data = [], [], []
+    for _ in range(2):
+        J = rng.normal(size=(30, 9)) * np.array([1, 1, 3, 3, 1, 1, 1, 1, 1])
+        y = J[:, 2] * true + J[:, 7:] @ rng.normal(scale=0.05, size=2) + rng.normal(size=30)
+        y += J[:, 4:7] @ rng.normal(size=3)
+        systems.append(WindowSystem(J.T @ J, -J.T @ y, np.zeros(5), 3, force))
+        jacobians.append(J)
+        data.append(y)
+    return systems, jacobians, data
+
+
+@pytest.mark.parametrize("columns", [(), (0,), (0, 1)])
+def test_differences_are_those_of_the_marginal_likelihood(columns: tuple[int, ...]) -> None:
+    systems, jacobians, data = problem(0, 0.5)
+    deviations = np.array([1.0, 2.0])
+    evidence = Evidence(systems, np.zeros(2), deviations, slack=1.5)
+    size = 0.4
+
+    def exact(chosen: tuple[int, ...]) -> float:
+        shared = [0, 1, *(2 + c for c in chosen)]
+        scale = np.concatenate((deviations, np.full(len(chosen), 1.5)))
+        y = np.concatenate(data)
+        covariance = np.eye(len(y))
+        S = np.concatenate([J[:, shared] for J in jacobians]) * scale
+        covariance += S @ S.T
+        for w, J in enumerate(jacobians):
+            local = J[:, 4:] * np.array([1, 1, 1, size, size])
+            at = slice(30 * w, 30 * (w + 1))
+            covariance[at, at] += local @ local.T
+        return float(multivariate_normal(np.zeros(len(y)), covariance).logpdf(y))
+
+    found = evidence._at([2 + c for c in columns], size).log_evidence - evidence._at((), size).log_evidence
+    assert found == pytest.approx(exact(columns) - exact(()), abs=1e-6)
+
+
+def test_the_true_effect_wins_and_is_measured() -> None:
+    systems, _, _ = problem(1, 0.5)
+    evidence = Evidence(systems, np.zeros(2), np.ones(2))
+    none, right, wrong = (evidence.posterior(c) for c in ((), (2,), (3,)))
+    assert right.log_evidence > none.log_evidence + 5
+    assert right.log_evidence > wrong.log_evidence + 5
+    assert right.mean[0] == pytest.approx(0.5, abs=3 * right.covariance[0, 0] ** 0.5)
+
+
+def test_an_effect_of_impossible_sign_does_not_win() -> None:
+    systems, _, _ = problem(1, -0.5)
+    evidence = Evidence(systems, np.zeros(2), np.ones(2))
+    free = evidence.signed((2,), np.array([-np.inf]))
+    bounded = evidence.signed((2,), np.array([0.0]))
+    assert free.log_evidence > evidence.posterior(()).log_evidence + 5
+    assert bounded.log_evidence < evidence.posterior(()).log_evidence
+
+
+def test_where_forces_are_missing_the_discrepancy_grows() -> None:
+    systems, jacobians, data = problem(2, 0.0)
+    quiet = Evidence(systems, np.zeros(2), np.ones(2)).posterior(()).discrepancy
+    missing = [
+        WindowSystem(
+            s.matrix, s.gradient - J.T @ (J[:, 7:] @ np.array([2.0, -2.0])), s.white, s.forces, s.force
+        )
+        for s, J in zip(systems, jacobians, strict=True)
+    ]
+    assert Evidence(missing, np.zeros(2), np.ones(2)).posterior(()).discrepancy > quiet
+    assert quiet in DISCREPANCIES
+    assert len(data) == 2
+
+
+def test_given_numbers_leave_the_least_of_the_rest() -> None:
+    """Base and local unknowns for a given effect minimise the same quadratic."""
+    systems, _, _ = problem(3, 0.5)
+    evidence = Evidence(systems, np.zeros(2), np.ones(2))
+    values, changes = evidence.given((2,), np.array([0.5]), 0.4)
+
+    def cost(base: np.ndarray, local: list[np.ndarray]) -> float:
+        total = 0.5 * float(base @ base)
+        for s, moved in zip(systems, local, strict=True):
+            full = np.concatenate((base, [0.5, 0.0], moved))
+            total += float(0.5 * full @ s.matrix @ full + s.gradient @ full)
+            white = moved / np.array([1, 1, 1, 0.4, 0.4])
+            total += 0.5 * float(white @ white)
+        return total
+
+    best = cost(values, changes)
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        moved = [c + 1e-2 * rng.normal(size=c.shape) for c in changes]
+        assert cost(values + 1e-2 * rng.normal(size=2), moved) > best

@@ -1,0 +1,114 @@
+"""Tangents for many columns at once against the simulation itself."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from toile.cloth.cloth import grid_cloth
+from toile.cloth.material import Material
+from toile.cloth.state import State
+from toile.diagnosis.effect_columns import FORCES, Instant, force_columns
+from toile.diagnosis.sensitivities import BlockFactor, Columns, KnownMotion
+from toile.effects.base import Surroundings
+from toile.effects.catalogue import CATALOGUE
+from toile.effects.setting import setting
+from toile.simulators.implicit.banded import BandedCholesky
+from toile.simulators.implicit.integrators import BDF2
+from toile.simulators.implicit.newton import NewtonSettings
+from toile.simulators.implicit.simulator import ImplicitSimulator
+from toile.simulators.rollout import rollout
+
+GRID = (6, 7)
+STEP = 0.01
+N_FRAMES = 9
+STIFFNESS = np.array([400.0, 1e-3, 2e-5])
+GRAVITY = torch.tensor([0.0, 9.81, 0.0], dtype=torch.float64)
+WIND = torch.tensor([1.0, 0.0, 4.0], dtype=torch.float64)
+
+
+def surroundings() -> Surroundings:
+    cloth = grid_cloth(GRID, (0.3, 0.36), 0.15, (0, (GRID[0] - 1) * GRID[1]))
+    return Surroundings(cloth, (0.3, 0.36), GRAVITY, 1 / STEP, N_FRAMES)
+
+
+def start(around: Surroundings) -> torch.Tensor:
+    i, j = torch.meshgrid(torch.arange(GRID[0]), torch.arange(GRID[1]), indexing="ij")
+    x = torch.stack((i * 0.06 * 0.98, j * 0.06, 1 + 0.01 * torch.sin(1.0 * i) + 0.004 * j), -1)
+    return x.reshape(1, -1, 3).to(torch.float64)
+
+
+def simulate(effects, around: Surroundings) -> np.ndarray:
+    x0 = start(around)
+    held = around.cloth.held
+    times = around.frame_times()
+    anchors = x0[:, held] + 0.02 * torch.sin(20 * times)[:, None, None] * torch.tensor([0.0, 0.3, 1.0])
+    given = setting(effects, around, anchors[:, :].reshape(N_FRAMES, len(held), 3), WIND)
+    step = float(given.frame_interval)
+    simulator = ImplicitSimulator(given.cloth, step, BDF2(), NewtonSettings(1e-10), given.terms)
+    k = torch.from_numpy(STIFFNESS)[:, None]
+    state = State.start(x0, torch.zeros_like(x0), step, simulator.n_past)
+    with torch.no_grad():
+        motion = rollout(
+            simulator, state, Material(k[0], k[1], k[2]), given.forces[None], given.anchors[None], 1
+        )
+    return motion.positions[0].numpy()
+
+
+def test_blocks_solve_what_the_band_solves() -> None:
+    rng = np.random.default_rng(0)
+    n, width = 53, 11
+    dense = np.zeros((n, n))
+    for k in range(width + 1):
+        values = rng.normal(size=n - k)
+        dense += np.diag(values, -k) + (np.diag(values, k) if k else 0)
+    dense += 30 * np.eye(n)
+    band = np.zeros((n, width + 1))
+    for k in range(width + 1):
+        band[: n - k, k] = np.diag(dense, -k)
+    factor = BandedCholesky.factorise(band)
+    assert factor is not None
+    right = rng.normal(size=(n, 5)).astype(np.float32)
+    np.testing.assert_allclose(BlockFactor(factor).solve(right), np.linalg.solve(dense, right), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "name", [n for n, e in CATALOGUE.items() if issubclass(e, FORCES) and n != "contact"]
+)
+def test_columns_are_the_derivatives_of_the_simulation(name: str) -> None:
+    """To first order: what effects do to later velocities through themselves is of second order here."""
+    around = surroundings()
+    effect = CATALOGUE[name]()
+    plain = simulate((), around)
+    simulator = ImplicitSimulator(around.cloth, STEP, BDF2(), NewtonSettings(1e-10))
+    motion = KnownMotion(simulator, plain, STIFFNESS)
+    held = around.cloth.held.numpy()
+    acceleration = (GRAVITY + WIND).numpy()
+    n = len(effect.scales)
+    rest = np.zeros((n, len(plain[0]), 3))
+
+    def columns(step):
+        now = Instant(step, (step.index + 1) * STEP, STEP, STIFFNESS, acceleration, step.positions[held])
+        return Columns(force_columns(effect, now, around), np.zeros((n, len(held), 3)))
+
+    tangents = np.stack(list(motion.tangents(0, N_FRAMES - 1, 1, columns, rest, rest)))
+    for k in range(n):
+        small = torch.zeros_like(effect.scales)
+        small[k] = 1e-4 * effect.scales[k]
+        change = (simulate((effect.with_values(small),), around) - plain)[1:] / 1e-4
+        found = tangents[..., k].reshape(change.shape)
+        for frame in (3, N_FRAMES - 2):
+            error = np.linalg.norm(found[frame] - change[frame]) / max(np.linalg.norm(change[frame]), 1e-12)
+            assert error < 0.06, (effect.parameters[k].name, frame, error)
+
+
+def test_the_required_force_is_the_one_that_acted() -> None:
+    around = surroundings()
+    motion = KnownMotion(
+        ImplicitSimulator(around.cloth, STEP, BDF2(), NewtonSettings(1e-10)), simulate((), around), STIFFNESS
+    )
+    acted = (around.cloth.masses[:, None] * (GRAVITY + WIND)).numpy()
+    acted[around.cloth.held.numpy()] = 0
+    for n in range(N_FRAMES - 1):
+        np.testing.assert_allclose(motion.required(motion.step(n)), acted, atol=1e-8)

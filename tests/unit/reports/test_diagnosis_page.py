@@ -1,0 +1,412 @@
+"""The page of a diagnosis: what it says, what it leaves out, and what a browser makes of it."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.util
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from toile.errors import InputError
+from toile.evaluation.diagnosis_record import (
+    AMBIGUOUS,
+    NONE,
+    UNKNOWN,
+    Alias,
+    GapReport,
+    Shrink,
+    Verdict,
+    Where,
+)
+from toile.reports.diagnosis_arrays import DiagnosisArrays, gap_field
+from toile.reports.diagnosis_wording import answer, beats_placebo, certainty, frame_ranges, percent, shrinkage
+from toile.reports.page.diagnosis_charts import alias_matrix, alias_order, held_out
+from toile.reports.page.diagnosis_page import DiagnosisPage, write_diagnosis_page
+from toile.scenes.scene import Scene
+
+MakeReport = Callable[..., GapReport]
+MakeArrays = Callable[..., DiagnosisArrays]
+ADVICE = "a second clip with the held corners <shaken>"
+AMBIGUITY = Verdict(
+    AMBIGUOUS, ("air_drag", "internal_damping"), "mechanics", 0.96, "Cannot tell them apart.", ADVICE
+)
+SHRINK = Shrink("distance [mm]", "frames 30 to 39", 8.0, 3.2, 0.6, 0.5, 0.7, 0.05)
+
+
+@pytest.fixture
+def report(made_up_diagnosis: MakeReport) -> GapReport:
+    return made_up_diagnosis()
+
+
+def answered(report: GapReport, verdict: Verdict) -> GapReport:
+    return dataclasses.replace(report, verdict=verdict)
+
+
+def body(report: GapReport, arrays: DiagnosisArrays | None = None, scene: Scene | None = None) -> str:
+    """The page without the inlined plotly.js and the data of its figures."""
+    text = DiagnosisPage(report, arrays or DiagnosisArrays(), scene, "<clip>").render()
+    text = re.sub(r"<head>.*?</head>", "", text, flags=re.DOTALL)
+    return re.sub(r"<script.*?</script>|<style>.*?</style>", "", text, flags=re.DOTALL)
+
+
+def header(report: GapReport) -> str:
+    text = body(report)
+    return text[: text.index("</header>")]
+
+
+def words(html: str) -> str:
+    return re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", html)).replace("&lt;", "<").replace("&gt;", ">")
+
+
+def titles(text: str) -> list[str]:
+    return re.findall(r"<h2>(.*?)</h2>", text)
+
+
+def test_opens_with_effect_probability_stage_and_shrink(report: GapReport) -> None:
+    text = words(header(report))
+    assert "The gap is air drag." in text
+    assert "Probability 93 %" in text
+    assert "mechanics stage" in text
+    assert "from 8 to 3.2 mm: 60 % less (52 % to 68 %); the best placebo reaches 5 %." in text
+    assert "Record next" not in text
+
+
+def test_names_both_effects_of_a_pair(report: GapReport) -> None:
+    pair = answered(report, dataclasses.replace(report.verdict, also="motion_blur"))
+    assert answer(pair) == "The gap is air drag and motion blur."
+    assert len(re.findall(r'<li class="here">', body(pair))) == 2
+
+
+def test_ambiguity_names_the_candidates_and_what_to_record(report: GapReport) -> None:
+    text = words(header(answered(report, AMBIGUITY)))
+    assert "Air drag or internal damping: this clip cannot tell." in text
+    assert "Record next A second clip with the held corners <shaken>." in text
+    assert "air drag 93 %, internal damping 3 %" in text
+    everything = dataclasses.replace(AMBIGUITY, candidates=tuple(e.name for e in report.effects))
+    assert answer(answered(report, everything)).endswith(
+        f"or one of {len(report.effects) - 3} others: this clip cannot tell."
+    )
+    perhaps = dataclasses.replace(AMBIGUITY, candidates=("air_drag", NONE))
+    assert answer(answered(report, perhaps)) == "Air drag or no gap at all: this clip cannot tell."
+
+
+def test_no_gap_and_unknown_causes(report: GapReport) -> None:
+    quiet = tuple(dataclasses.replace(e, probability=0.001) for e in report.effects)
+    for name, title in ((NONE, "No gap"), (UNKNOWN, "outside the catalogue")):
+        verdict = Verdict(name, (name,), name, 0.95, "Because.", "")
+        other = dataclasses.replace(answered(report, verdict), effects=quiet)
+        assert title in words(header(other))
+        assert "95 %" in words(header(other))
+        ranking = re.search(r'<tr class="best"><th>(.*?)</th>.*?</tr>', body(other))
+        assert ranking is not None
+        assert title.lower() in ranking[1]
+        # Nothing that the catalogue holds is presented as an answer.
+        assert 'class="here"' not in body(other)
+
+
+def test_holds_every_part(report: GapReport, made_up_gap: MakeArrays, tiny_scene: Scene) -> None:
+    assert tiny_scene.ground_truth is not None
+    assert tiny_scene.ground_truth.vertices is not None
+    arrays = made_up_gap(tiny_scene.ground_truth.vertices.numpy(), 3)
+    text = body(report, arrays, tiny_scene)
+    assert titles(text) == [
+        "Where it lies",
+        "How far it shrinks",
+        "Which effect",
+        "Where on the cloth",
+        "The gap on the cloth",
+        "When",
+        "In which regime",
+        "What this clip can tell apart",
+        "How it was made",
+    ]
+    said = words(text)
+    for stage in ("numerics", "actuation", "mechanics", "camera", "appearance", "observation"):
+        assert stage in said
+    # Numerics has no share in the report, which is not the same as none.
+    assert re.search(r'<li class="absent"><span><b>numerics</b>', text)
+    assert "71 %" in said
+    assert "0.800 1/s" in said
+    assert "air drag and internal damping" in said
+    assert "not within its bounds" in said
+    assert "gusts (the largest drop of the training loss)" in said
+    assert "0 to 29" in said
+    assert "air_drag explains <it>." in said
+    assert "scene: <tiny>" in said
+
+
+def test_is_self_contained_and_escapes(report: GapReport, made_up_gap: MakeArrays, tiny_scene: Scene) -> None:
+    nasty = "<script>alert(1)</script>"
+    effects = tuple(
+        dataclasses.replace(
+            e,
+            name=f"{e.name}{nasty}",
+            stage=nasty,
+            shrink=None if e.shrink is None else dataclasses.replace(e.shrink, held_out=nasty, metric=nasty),
+            parameters={name + nasty: dataclasses.replace(p, unit=nasty) for name, p in e.parameters.items()},
+        )
+        for e in report.effects
+    )
+    alias = dataclasses.replace(
+        report.alias,
+        names=tuple(n + nasty for n in report.alias.names),
+        detection_limits={n + nasty: v for n, v in report.alias.detection_limits.items()},
+    )
+    bad = GapReport(
+        Verdict(f"air_drag{nasty}", (nasty,), nasty, 0.9, nasty, nasty, nasty),
+        Where({nasty: 1.0}, (1.0,), None, {nasty: 1.0}),
+        effects,
+        alias,
+        dataclasses.replace(report.protocol, version=nasty, naive=nasty),
+    )
+    text = DiagnosisPage(bad, DiagnosisArrays(config=nasty), None, nasty).render()
+    assert "alert(1)" in text
+    assert nasty not in text
+    assert text.count("plotly.js v") == 1
+    plain = re.sub(r"<head>.*?</head>", "", text, flags=re.DOTALL)
+    assert not re.search(r'(?:src|href)="(?!data:|#)', plain)
+
+
+def test_leaves_out_what_there_is_no_data_for(report: GapReport, tmp_path: Path) -> None:
+    bare = GapReport(
+        Verdict(NONE, (NONE,), NONE, 0.9, "", ""), Where({}, (), None), (), Alias(), report.protocol
+    )
+    assert titles(body(bare)) == ["How it was made"]
+    no_shrink = dataclasses.replace(
+        report, effects=tuple(dataclasses.replace(e, shrink=None, gap=None) for e in report.effects)
+    )
+    text = body(no_shrink)
+    assert "How far it shrinks" not in titles(text)
+    assert "fit has seen" not in words(text)
+    assert "What this clip can tell apart" not in titles(body(dataclasses.replace(report, alias=Alias())))
+    page = write_diagnosis_page(tmp_path / "index.html", bare)
+    assert page.read_text(encoding="utf-8").startswith("<!doctype html>")
+
+
+def test_a_motion_on_another_grid_gives_the_map_alone(
+    report: GapReport, made_up_gap: MakeArrays, tiny_scene: Scene
+) -> None:
+    arrays = made_up_gap(np.zeros((4, 7, 7, 3)), 3)
+    text = body(report, arrays, tiny_scene)
+    assert 'id="viewer"' not in text
+    assert 'id="map-gap"' in text
+
+
+def test_no_shrinkage_is_claimed_within_the_placebo() -> None:
+    assert beats_placebo(SHRINK)
+    weak = dataclasses.replace(SHRINK, low=0.02)
+    assert not beats_placebo(weak)
+    assert "no shrinkage is claimed" in shrinkage(weak)
+    assert "placebo" not in shrinkage(dataclasses.replace(SHRINK, best_placebo=None))
+    worse = dataclasses.replace(SHRINK, with_effect=9.6, estimate=-0.2, low=-0.3, high=-0.1)
+    assert "grows from 8 to 9.6 mm: 20 % more (10 % to 30 %)" in shrinkage(worse)
+    # A bad placebo does not make nothing into something.
+    assert not beats_placebo(dataclasses.replace(SHRINK, low=-0.01, best_placebo=-0.5))
+
+
+def test_words_for_numbers() -> None:
+    assert [percent(p) for p in (0.0, 0.001, 0.5, 0.999, 1.0)] == ["0 %", "< 1 %", "50 %", "> 99 %", "100 %"]
+    assert frame_ranges((0, 1, 2, 5)) == "0 to 2, 5"
+    assert frame_ranges(()) == "none"
+
+
+def test_what_was_refitted_is_shown_however_improbable(report: GapReport) -> None:
+    effects = tuple(
+        dataclasses.replace(e, shrink=SHRINK) if e.name == "gravity_tilt" else e for e in report.effects
+    )
+    text = body(dataclasses.replace(report, effects=effects))
+    assert "gravity tilt" in text[text.index("Which effect") : text.index("others below 1 %")]
+    sure = answered(report, dataclasses.replace(report.verdict, probability=0.999))
+    assert '<strong class="value">&gt; 99 %</strong>' in header(sure)
+
+
+def test_certainty_says_what_the_stage_is(report: GapReport) -> None:
+    mixed = answered(report, dataclasses.replace(AMBIGUITY, stage=UNKNOWN))
+    assert "stage" not in certainty(mixed)
+    assert "mechanics stage" in certainty(answered(report, AMBIGUITY))
+
+
+def test_held_out_chart_places_base_effect_placebo_and_oracle(report: GapReport) -> None:
+    chart = held_out(report.effects, ("air_drag",))
+    assert chart is not None
+    first = {t.name: t.x[0] for t in reversed(chart.data) if t.mode == "markers" and t.y[0] == 0}
+    assert first["base model"] == 8.0
+    assert first["with the effect (and 90 % interval)"] == pytest.approx(3.2)
+    assert first["best placebo"] == pytest.approx(7.6)
+    assert first["oracle"] == 2.9
+    assert held_out([dataclasses.replace(e, shrink=None) for e in report.effects], ()) is None
+
+
+def test_alias_matrix_puts_the_same_traces_side_by_side(report: GapReport) -> None:
+    alias = Alias(
+        ("a", "b", "c", "d"), ((1, 0.1, 0.95, 0), (0.1, 1, 0, 0.9), (0.95, 0, 1, 0), (0, 0.9, 0, 1))
+    )
+    order = [alias.names[i] for i in alias_order(alias)]
+    assert abs(order.index("a") - order.index("c")) == 1
+    assert abs(order.index("b") - order.index("d")) == 1
+    chart = alias_matrix(alias)
+    assert chart is not None
+    shown = np.array(chart.data[0].z, dtype=float)
+    # Every pair once, and no name with itself.
+    assert np.isfinite(shown).sum() == 6
+    assert sorted(shown[np.isfinite(shown)]) == [0, 0, 0, 0.1, 0.9, 0.95]
+    assert alias_matrix(Alias()) is None
+
+
+def test_gap_field_interpolates_and_knows_what_was_held_out() -> None:
+    i, j = np.meshgrid(np.linspace(0, 1, 4), np.linspace(0, 1, 3), indexing="ij")
+    gap = np.stack([1e-3 * (1 + i + 2 * j), np.zeros((4, 3))])
+    field = gap_field(DiagnosisArrays(frames_vertices=gap), (7, 9), (1,))
+    assert field is not None
+    fine_i, fine_j = np.meshgrid(np.linspace(0, 1, 7), np.linspace(0, 1, 9), indexing="ij")
+    np.testing.assert_allclose(field.values[0], 1 + fine_i + 2 * fine_j, atol=1e-12)
+    assert np.isnan(field.values[1]).all()
+    assert gap_field(DiagnosisArrays(), (7, 9)) is None
+
+
+def test_arrays_are_read_as_far_as_they_exist(report: GapReport, tmp_path: Path) -> None:
+    assert (
+        DiagnosisArrays.read(tmp_path, dataclasses.replace(report, where=Where({}, (), None))).positions
+        is None
+    )
+    rng = np.random.default_rng(0)
+    gap, positions = rng.random((4, 4, 3)), rng.random((4, 30, 3))
+    np.save(tmp_path / "gap_vertices.npy", gap[0])
+    np.save(tmp_path / "gap_frames_vertices.npy", gap)
+    np.savez(tmp_path / "tracked.npz", positions=positions, used=3)
+    np.savez(
+        tmp_path / "screening.npz",
+        names=np.array(["air_drag", "gusts"]),
+        log_evidence=np.array([4.0, 1.0]),
+        unknown=np.array(2.0),
+        discrepancy=np.array(0.4),
+        base=np.arange(5.0),
+        costs=np.array([3.0, 2.0]),
+    )
+    (tmp_path / "config.yaml").write_text("seed: 0\n")
+    found = DiagnosisArrays.read(tmp_path, report)
+    assert found.vertices is not None
+    np.testing.assert_array_equal(found.vertices, gap[0])
+    assert found.screening is not None
+    assert found.screening.log_evidence == {"air_drag": 4.0, "gusts": 1.0}
+    assert found.config == "seed: 0\n"
+    (tmp_path / "tracked.npz").write_text("nonsense")
+    with pytest.raises(InputError, match=r"tracked\.npz"):
+        DiagnosisArrays.read(tmp_path, report)
+
+
+_SPEC = importlib.util.spec_from_file_location(
+    "chromium", Path(__file__).parents[3] / "docs" / "images" / "chromium.py"
+)
+assert _SPEC is not None
+assert _SPEC.loader is not None
+chromium = importlib.util.module_from_spec(_SPEC)
+_SPEC.loader.exec_module(chromium)
+# A talk's screen; a window over the whole page takes the browser minutes.
+WIDTH, HEIGHT = 1200, 1400
+# Notes every complaint of the page from its first script on.
+WATCH = """<script>
+window.trouble = [];
+addEventListener("error", (e) => trouble.push("error: " + e.message));
+addEventListener("unhandledrejection", (e) => trouble.push("rejected: " + e.reason));
+addEventListener("securitypolicyviolation", (e) => trouble.push("blocked: " + e.blockedURI));
+console.error = (...words) => trouble.push("console: " + words.join(" "));
+</script>"""
+# Once everything is drawn, says what the page is like; with a viewer, after it has moved by a frame.
+PROBE = """<script>
+const waiting = setInterval(() => {
+  if (!document.documentElement.dataset.ready) return;
+  clearInterval(waiting);
+  const find = (id) => document.getElementById(id);
+  const cursor = () => ["over-time", "map-gap"].map((id) => find(id)?.layout.shapes?.[0].x0);
+  const before = cursor();
+  if (find("viewer"))
+    document.body.dispatchEvent(new KeyboardEvent("keydown", { key: "Home", bubbles: true }));
+  // Figures out of sight wait, but for print.
+  dispatchEvent(new Event("beforeprint"));
+  setTimeout(() => {
+    const wide = [...document.querySelectorAll("main *")].filter((e) => !e.closest("svg, .plot, .scroll"))
+      .filter((e) => e.scrollWidth > e.clientWidth + 1 && e.clientWidth > 0)
+      .filter((e) => getComputedStyle(e).overflow === "visible" && getComputedStyle(e).display !== "inline");
+    const found = {
+      trouble,
+      requests: performance.getEntriesByType("resource").map((r) => r.name)
+        .filter((name) => !/^(data|blob):/.test(name)),
+      overflow: document.documentElement.scrollWidth - innerWidth,
+      wide: wide.map((e) => e.tagName + "." + e.className + " " + e.textContent.slice(0, 40)),
+      undrawn: [...document.querySelectorAll("[data-figure]")].filter((p) => !p.querySelector("svg")).length,
+      boxes: Object.fromEntries([...document.querySelectorAll(".plot, .ladder")]
+        .map((p) => [p.id || p.className, p.getBoundingClientRect()])
+        .map(([name, b]) => [name, [b.left, b.top, b.right, b.bottom].map(Math.round)])),
+      cursors: [before, cursor()],
+      clock: find("clock")?.textContent,
+    };
+    const note = document.createElement("pre");
+    note.id = "probe";
+    note.hidden = true;
+    note.textContent = JSON.stringify(found);
+    document.body.append(note);
+  }, 500);
+}, 20);
+</script>"""
+
+
+def look(page: Path) -> tuple[dict[str, Any], np.ndarray]:
+    """What the page says about itself, and its picture (h, w, 3)."""
+    watched, picture = page.with_name("watched.html"), page.with_name("page.png")
+    text = page.read_text(encoding="utf-8").replace("<title>", WATCH + "<title>", 1)
+    watched.write_text(text.replace("</body>", PROBE + "</body>"), encoding="utf-8")
+    dom = chromium.show(watched.as_uri(), picture, width=WIDTH, height=HEIGHT)
+    found = re.search(r'<pre id="probe"[^>]*>(.*?)</pre>', dom, flags=re.DOTALL)
+    assert found, "the page was never ready"
+    pixels = np.asarray(Image.open(picture).convert("RGB")).astype(int)
+    return json.loads(found[1].replace("&lt;", "<").replace("&gt;", ">").replace("&amp;", "&")), pixels
+
+
+def check_page(probe: dict[str, Any]) -> None:
+    assert probe["trouble"] == []
+    assert probe["requests"] == []
+    assert probe["overflow"] == 0
+    assert probe["wide"] == []
+    assert probe["undrawn"] == 0
+
+
+in_browser = pytest.mark.skipif(chromium.executable() is None, reason="no Chromium found")
+
+
+@in_browser
+def test_in_a_browser(
+    made_up_diagnosis: MakeReport, made_up_gap: MakeArrays, tiny_scene: Scene, tmp_path: Path
+) -> None:
+    assert tiny_scene.ground_truth is not None
+    assert tiny_scene.ground_truth.vertices is not None
+    arrays = made_up_gap(tiny_scene.ground_truth.vertices.numpy(), 3)
+    report = made_up_diagnosis(tiny_scene.n_frames, 3)
+    probe, picture = look(write_diagnosis_page(tmp_path / "index.html", report, arrays, tiny_scene))
+    check_page(probe)
+    assert probe["clock"].startswith("frame 0 of 3")
+    # Map and bars follow the frame.
+    assert probe["cursors"] == [[2, 2], [0, 0]]
+    for name in ("held-out", "ladder"):
+        left, top, right, bottom = probe["boxes"][name]
+        part = picture[max(top, 0) : bottom, max(left, 0) : right]
+        assert part.size, name
+        assert part.std() > 6, name
+
+
+@in_browser
+def test_without_a_motion_in_a_browser(report: GapReport, tmp_path: Path) -> None:
+    arrays = DiagnosisArrays(np.linspace(0, 4e-3, 400).reshape(20, 20))
+    probe, picture = look(
+        write_diagnosis_page(tmp_path / "index.html", answered(report, AMBIGUITY), arrays, None, "a" * 200)
+    )
+    check_page(probe)
+    assert "clock" not in probe
+    assert picture.std() > 8
