@@ -107,6 +107,10 @@ BLIND ?= standard
 BLIND_NAME ?= $(BLIND)
 BLIND_SET = blind=$(BLIND) name=$(BLIND_NAME) jobs=$(JOBS)
 
+.PHONY: independent
+independent: setup ## Diagnose the scenes of the independent engine: docs/results/independent.md (needs them in TOILE_DATA)
+	$(BIN)/python benchmarks/independent.py
+
 .PHONY: blind
 blind: setup ## Make scenes with sealed labels, diagnose them, open the labels: the table of measures; resumes
 	$(BIN)/toile blind make $(BLIND_SET)

@@ -25,6 +25,8 @@ from toile.effects.base import Stage
 from toile.effects.catalogue import STAGES
 
 MOVING = (Stage.MECHANICS, Stage.ACTUATION)
+KINDS = (MOVING, (Stage.CAMERA, Stage.OBSERVATION), (Stage.APPEARANCE,))
+"""Stages whose effects leave the same sort of trace: in the motion, in the outline, in the colours."""
 TARGET = Path(__file__).parent.parent / "src/toile/diagnosis/calibration.json"
 
 
@@ -59,8 +61,8 @@ def is_quiet(case: Case, effect: str) -> bool:
         return True
     if case.truth == UNKNOWN:
         return False
-    stage = MOVING if STAGES[effect] in MOVING else (STAGES[effect],)
-    return STAGES[case.truth] not in stage
+    kind = next(kind for kind in KINDS if STAGES[effect] in kind)
+    return STAGES[case.truth] not in kind
 
 
 def calibrate(cases: list[Case], source: str) -> Calibration:
@@ -106,9 +108,8 @@ def main() -> None:
         chances = probabilities(case.evidence, found)
         first, chance = next(iter(chances.items()))
         right += first == case.truth
-        print(
-            f"{case.name:34s} {case.truth:22s} {first:22s} {chance:.2f} truth {chances.get(case.truth, 0):.2f}"
-        )
+        truth = chances.get(case.truth, 0)
+        print(f"{case.name:34s} {case.truth:22s} {first:22s} {chance:.2f} truth {truth:.2f}")
     print(f"{right} of {len(cases)} right on the scenes it was made from")
     values = {
         k: {n: round(v, 3) for n, v in d.items()} if isinstance(d, dict) else d

@@ -239,3 +239,14 @@ def test_mistakes(blind) -> None:
     assert blind("make", "composition=huge").status == 2
     assert blind("run", "diagnose=nothing.there").status == 2
     assert blind("make", "part=2", "parts=2").status == 2
+
+
+def test_the_tiny_set_through_the_real_diagnosis(toile) -> None:
+    """Three scenes from their making to their marks, as the command line ships it."""
+    assert toile("blind", "make", "blind=tiny").status == 0
+    status, out, _ = toile("blind", "run", "blind=tiny")
+    assert status == 0
+    assert "sha256" in out
+    assert toile("blind", "grade", "blind=tiny").status == 0
+    scenes = pd.read_csv("outputs/blind_predictions/tiny/grade/scenes.csv")
+    assert len(scenes) == 3
