@@ -24,8 +24,10 @@ Array = NDArray[np.float64]
 _RASTER = (0.2, 0.27, 0.37, 0.5)
 # Border points closer than this share their error [px].
 _CORRELATION = 12.0
-# A mask that is wrong may be ragged, too [px].
-_RAGGED = (0.75, 1.1, 1.6, 2.4)
+# Ragged masks, and templates that do not quite fit: deviations beyond those [px].
+_RAGGED = (0.75, 1.1, 1.6, 2.4, 3.5, 5.0)
+# A wrong mask is often ragged; a wrong camera leaves a smooth outline smooth, so there it counts against it.
+_RAGGED_AGAINST_CAMERA = 6.0
 
 
 @dataclass(frozen=True)
@@ -106,20 +108,21 @@ class BorderFit:
 def border_evidence(effect: Effect, scene: Scene, at: Border) -> BorderFit:
     """Evidence of an effect of the camera or the mask from the outline of frame 0."""
     share = at.independent / len(at.distances)
-    null = max(_log_likelihood(at.distances, noise, share) for noise in _RASTER)
+    masked = isinstance(effect, MaskEffect)
+    noises = [(noise, 0.0) for noise in _RASTER]
+    noises += [(noise, 0.0 if masked else _RAGGED_AGAINST_CAMERA) for noise in _RAGGED]
+    null = max(_log_likelihood(at.distances, noise, share) for noise, _ in noises)
     columns = border_columns(effect, scene, at)
     if not columns.any():
         return BorderFit(0.0, np.zeros(columns.shape[1]), np.eye(columns.shape[1]))
-    noises = (*_RASTER, *_RAGGED) if isinstance(effect, MaskEffect) else _RASTER
     best: BorderFit | None = None
-    for noise in noises:
+    for noise, charge in noises:
         H = np.eye(columns.shape[1]) + share * columns.T @ columns / noise**2
         covariance = np.linalg.inv(H)
         mean = covariance @ (share * columns.T @ at.distances / noise**2)
         left = _log_likelihood(at.distances - columns @ mean, noise, share)
         value = left - 0.5 * float(mean @ mean) - 0.5 * float(np.linalg.slogdet(H)[1])
-        # More deviations to choose from are charged for.
-        value -= float(np.log(len(noises) / len(_RASTER)))
+        value -= charge
         if best is None or value - null > best.log_evidence:
             best = BorderFit(value - null, mean, np.asarray(covariance, np.float64))
     assert best is not None
