@@ -39,10 +39,10 @@ def spy(scene, out, settings):
         lambda: list((base / "sealed").iterdir()),
         lambda: os.listdir(base / "sealed"),
         lambda: (base / "commitments.json").read_text(),
-        lambda: open(settings["label"], "rb").read(),
-        lambda: np.load(settings["label"]),
-        lambda: Path(settings["key"]).read_text(),
-        lambda: os.open(settings["label"], os.O_RDONLY),
+        lambda: open(settings[0], "rb").read(),
+        lambda: np.load(settings[0]),
+        lambda: Path(settings[1]).read_text(),
+        lambda: os.open(settings[0], os.O_RDONLY),
     ]
     refused = 0
     for way in ways:
@@ -181,7 +181,7 @@ def test_run_cannot_read_labels(blind) -> None:
     status, _, err = blind(
         "run",
         "diagnose=fake_diagnosis.spy",
-        f"settings={{label:'{label}',key:'{KEY.resolve()}'}}",
+        f"settings=['{label}','{KEY.resolve()}']",
     )
     assert status == 0, err
 
