@@ -117,6 +117,10 @@ blind: setup ## Make scenes with sealed labels, diagnose them, open the labels: 
 	$(BIN)/toile blind run $(BLIND_SET)
 	$(BIN)/toile blind grade $(BLIND_SET)
 
+.PHONY: effects
+effects: setup ## Does every effect find its own numbers again? docs/results/effects.md
+	$(BIN)/python benchmarks/effects.py
+
 .PHONY: templates
 templates: setup ## Find the published templates again from meshes and points (needs the recordings in TOILE_DATA)
 	$(BIN)/python benchmarks/templates.py
