@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from toile.diagnosis.decision import NONE, UNKNOWN, Calibration, confidence_set
 from toile.diagnosis.recordings import next_recording
+from toile.effects.base import Stage
 from toile.effects.catalogue import STAGES
 from toile.evaluation.diagnosis_record import AMBIGUOUS, Shrink, Verdict
 
@@ -20,12 +21,11 @@ def verdict_of(
     candidates = confidence_set(found)
     first = candidates[0]
     also = None
-    if len(candidates) == 1 and first in evidence:
-        # Another stage leaves a trace of its own: both act.
+    if len(candidates) == 1 and first != NONE:
+        # Another stage leaves a trace of its own: both act. What is unknown is missing in the motion.
+        own = STAGES.get(first, Stage.MECHANICS)
         others = {
-            name: calibration.score(name, value)
-            for name, value in evidence.items()
-            if STAGES[name] != STAGES[first]
+            name: calibration.score(name, value) for name, value in evidence.items() if STAGES[name] != own
         }
         strongest = max(others, key=lambda name: others[name], default=None)
         if strongest is not None and others[strongest] > 2 * calibration.threshold:
@@ -54,6 +54,7 @@ def verdict_of(
             found[UNKNOWN],
             "Forces beyond the usual are missing, and no effect of the catalogue supplies them.",
             next_recording(candidates),
+            also,
         )
     reason = f"{first} explains what the base model misses."
     if first in shrinks:

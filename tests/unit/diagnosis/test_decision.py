@@ -49,6 +49,8 @@ def test_forces_that_nothing_supplies_are_unknown() -> None:
     answer = verdict({"air_drag": 3.0, UNKNOWN: 40.0})
     assert answer.effect == UNKNOWN
     assert answer.next_recording
+    assert answer.also is None
+    assert verdict({UNKNOWN: 40.0, "shading": 30.0}).also == "shading"
 
 
 def test_a_second_stage_with_a_trace_of_its_own_is_named_too() -> None:
