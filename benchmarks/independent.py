@@ -57,9 +57,14 @@ def main() -> None:
             diagnose_scene(scene, OUTPUT / scene.name, None)
     table = pd.DataFrame([row(s, GapReport.read(OUTPUT / s.name / DIAGNOSIS_FILE)) for s in found])
     write_text(RESULTS / "independent.csv", table.to_csv(index=False))
+    for scene in found:
+        if not (scene / "label.json").is_file():
+            answer = (OUTPUT / scene.name / DIAGNOSIS_FILE).read_text()
+            write_text(RESULTS / "independent" / f"{scene.name}.json", answer)
     text = f"""# Scenes of the independent engine
 Made by `make independent` (`toile diagnose`, default settings). The labelled scenes helped to develop the
-diagnosis and are no test of it; the labels of the withheld ones are not known here.
+diagnosis and are no test of it; the labels of the withheld ones are not known here, and the whole answers
+are in `independent/`.
 
 {table.to_markdown(index=False)}
 """
