@@ -121,6 +121,18 @@ def test_the_set_tells_nothing(blind) -> None:
     assert len(sizes) == 1
 
 
+def test_a_set_may_be_cut_short_and_grows_again(blind) -> None:
+    names = json.loads((SET / "set.json").read_text())["scenes"]
+    assert blind("make", "first=2").status == 0
+    cut = json.loads((SET / "set.json").read_text())
+    assert cut["scenes"] == names[:2]
+    assert "first 2 of 3" in " ".join(cut["notes"])
+    assert set(json.loads((SET / "commitments.json").read_text())["commitments"]) == set(names[:2])
+    assert blind("run").status == 0
+    assert blind("make").status == 0
+    assert json.loads((SET / "set.json").read_text())["scenes"] == names
+
+
 def test_make_again_changes_nothing_and_makes_what_is_missing(blind) -> None:
     files = {p: p.read_bytes() for p in SET.rglob("*") if p.is_file()}
     assert blind("make").status == 0

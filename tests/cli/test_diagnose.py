@@ -23,7 +23,7 @@ SCENE = (
 )
 SMALL = (
     "diagnosis=quick",
-    "diagnosis.side=8",
+    "diagnosis.sides=[8]",
     "diagnosis.shooting.modes=2",
     "diagnosis.shooting.window=4",
     "optimization.stages.track.term.per_side=24",

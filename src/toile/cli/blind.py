@@ -96,6 +96,9 @@ def _make(cfg: DictConfig, blind: BlindSet) -> None:
         )
     scenes, more = _with_blender_where_possible(plan(composition(), key.derive), wanted=cfg.blender)
     notes += more
+    if cfg.first is not None:
+        notes.append(f"the first {cfg.first} of {len(scenes)} scenes in the order of their names")
+        scenes = scenes[: int(cfg.first)]
     names = tuple(scene.name for scene in scenes)
     _describe(cfg, blind, key, names, notes)
     small = min(setup.grid) < 16
@@ -224,14 +227,18 @@ def _describe(
     }
     if blind.description.is_file():
         before = blind.read_description()
-        if before["scenes"] != list(names) or before["reality"] != values["reality"]:
+        common = min(len(before["scenes"]), len(names))
+        others = before["scenes"][:common] != list(names)[:common]
+        if others or before["reality"] != values["reality"] or before["key"] != key.fingerprint:
             raise InputError(
                 "The folder holds another set",
                 where=str(blind.folder),
                 expected="the same composition and settings, or another folder=...",
                 got=f"{before['composition']}, {len(before['scenes'])} scenes",
             )
-        return
+        if before["scenes"] == list(names):
+            return
+        # The same set with another first=: its scenes are in the order of their names, so they stay.
     write_text(blind.description, json.dumps(values, indent=1) + "\n")
 
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from toile.diagnosis.decision import Calibration
+from toile.diagnosis.evidence import Discrepancy
 from toile.diagnosis.mechanics import Mechanics
 from toile.evaluation.diagnosis_record import Alias
 
 
-def alias_of(mechanics: Mechanics, size: float, calibration: Calibration) -> Alias:
+def alias_of(mechanics: Mechanics, size: Discrepancy, calibration: Calibration) -> Alias:
     """Which effects leave the same trace on this clip, and how weak they may be."""
     fisher = mechanics.evidence.fisher(size)
     names = list(mechanics.columns)

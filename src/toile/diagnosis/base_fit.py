@@ -83,9 +83,8 @@ def window_bounds(n_frames: int, window: int) -> list[tuple[int, int]]:
 
 def local_scales(shooting: Shooting, n: int) -> Array:
     """What turns the local columns of Shooting.normal into white ones (n_local,)."""
-    forces = shooting.layout(n)[1]
-    total = shooting.layout(n)[2]
-    return np.where(np.arange(total) >= forces, shooting.settings.force, 1.0)
+    settings = shooting.settings
+    return shooting.deviations(n, settings.force, settings.external) / shooting.deviations(n, 1.0, 1.0)
 
 
 def fit_base(
@@ -94,6 +93,8 @@ def fit_base(
     stiffness: Array,
     n_frames: int,
     report: Callable[[str, float], None],
+    coarser: BaseFit | None = None,
+    passes: int | None = None,
 ) -> BaseFit:
     """Window by window for a first motion, then all of them with stiffness and wind.
 
@@ -103,18 +104,21 @@ def fit_base(
         stiffness: start values (3,) Y [N/m], S, B [N·m].
         n_frames: frames used.
         report: called with a message and the cost.
+        coarser: fit on a coarser grid to start from.
+        passes: over the whole clip at most, None for those of the settings; a fit with a number of its own is
+            a first one, and goes through the clip once.
     """
-    values = np.zeros(N_BASE)
     deviation = base_deviations(shooting)
-    windows: list[WindowMotion] = []
-    for _ in range(shooting.settings.sweeps):
+    values = np.zeros(N_BASE) if coarser is None else coarser.values
+    windows: list[WindowMotion] = [] if coarser is None else coarser.windows
+    for _ in range(shooting.settings.sweeps if coarser is None and passes is None else 1):
         windows, values = _sweep(shooting, start_positions, stiffness, values, windows, n_frames, report)
     # What was learnt on the way holds for the windows before as well.
     windows = [shooting.simulate(w, w.white, base_of(stiffness, values)) for w in windows]
     cost = sum(shooting.cost(w) for w in windows)
     history = [cost]
     covariance: Array = np.diag(deviation**2)
-    for _ in range(shooting.settings.passes):
+    for _ in range(shooting.settings.passes if passes is None else passes):
         base = base_of(stiffness, values)
         H = np.asarray(np.diag(deviation**-2), np.float64)
         right = np.asarray(-values / deviation**2, np.float64)
@@ -134,25 +138,51 @@ def fit_base(
         step *= min(1.0, 0.7 / max(float(np.abs(step[:3]).max()), 1e-9))
         before = cost + 0.5 * float(((values / deviation) ** 2).sum())
         length = 1.0
-        for _ in range(5):
+        for _ in range(_SHORTER):
             trial = values + length * step
             moved = [
-                shooting.simulate(w, w.white + length * cho_solve(f, u - C @ step), base_of(stiffness, trial))
+                _stepped(shooting, w, cho_solve(f, u - C @ (length * step)), base_of(stiffness, trial))
                 for w, (f, C, u) in zip(windows, back, strict=True)
             ]
             trial_cost = sum(shooting.cost(w) for w in moved)
             after = trial_cost + 0.5 * float(((trial / deviation) ** 2).sum())
             if after < before and all(w.converged for w in moved):
                 break
-            length *= 0.4
+            length *= 0.3
         else:
             break
         windows, values, cost = moved, trial, trial_cost
         history.append(cost)
         report("base", cost)
-        if before - after < _STALLED * before:
+        if before - after < _STALLED * abs(before) + _NOTHING:
             break
     return BaseFit(windows, stiffness, values, covariance, cost, tuple(history))
+
+
+def _stepped(shooting: Shooting, window: WindowMotion, step: Array, base: Base) -> WindowMotion:
+    """A window moved along its own step as far as that helps: windows share the base, not the way there."""
+    before = shooting.cost(window)
+    best: WindowMotion | None = None
+    length = 1.0
+    for _ in range(_SHORTER):
+        trial = shooting.simulate(window, window.white + length * step, base)
+        if best is None or not best.converged or shooting.cost(trial) < shooting.cost(best):
+            best = trial
+        if best.converged and shooting.cost(best) < before:
+            break
+        length *= 0.3
+    assert best is not None
+    return best
+
+
+def _at_rest(shooting: Shooting, positions: Array) -> State:
+    simulator = shooting.simulator
+    return State.start(
+        torch.from_numpy(positions.copy())[None],
+        torch.from_numpy(np.zeros_like(positions))[None],
+        simulator.time_step,
+        simulator.n_past,
+    )
 
 
 def _sweep(
@@ -165,13 +195,7 @@ def _sweep(
     report: Callable[[str, float], None],
 ) -> tuple[list[WindowMotion], Array]:
     """One window after the other, each from where the one before has ended; what is learnt is passed on."""
-    simulator = shooting.simulator
-    state = State.start(
-        torch.from_numpy(start_positions.copy())[None],
-        torch.from_numpy(np.zeros_like(start_positions))[None],
-        simulator.time_step,
-        simulator.n_past,
-    )
+    state = _at_rest(shooting, start_positions)
     deviation = base_deviations(shooting)
     precision = np.diag(deviation**-2)
     mean = np.zeros(N_BASE)
@@ -230,6 +254,10 @@ def _sweep(
     return windows, values
 
 
+# Lengths of a step that are tried.
+_SHORTER = 3
 # A pass that lowers the cost by less than this fraction is the last one.
 _STALLED = 0.01
+# ... and so is one that lowers it by less than this.
+_NOTHING = 0.5
 _STALLED_WINDOW = 0.05

@@ -1,4 +1,4 @@
-"""Changes of brightness and sharpness on the cloth: light and exposure leave traces that no motion does.
+"""Changes of brightness on the cloth: light leaves traces there that no motion does.
 
 Colours are read at the tracked positions, on a lattice that moves with the cloth, and compared with frame 0.
 """
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from toile.diagnosis.effect_columns import derivatives
-from toile.effects.base import BrightnessEffect, Effect, ExposureEffect
+from toile.effects.base import BrightnessEffect, Effect
 from toile.fitting.gauss_newton.recipe import visible
 from toile.fitting.reconstruction import Reconstruction
 from toile.fitting.terms.texture_points import grid_points
@@ -37,15 +37,11 @@ class Colours:
         brightness: logarithm of patch means relative to frame 0, (F, P) with P patches; 0 where hidden.
         seen: share of each patch that is visible (F, P).
         normals: unit normals of the patches towards the camera (F, P, 3).
-        images: (F, n, n) grey, NaN where hidden.
-        pixels: of the lattice (F, n, n, 2) [px].
     """
 
     brightness: Array
     seen: Array
     normals: Array
-    images: Array
-    pixels: Array
 
 
 def colours(reconstruction: Reconstruction, positions: Array) -> Colours:
@@ -61,11 +57,9 @@ def colours(reconstruction: Reconstruction, positions: Array) -> Colours:
     normals *= -np.sign((normals * at).sum(-1, keepdims=True))
     grey = scene.frames[: len(positions)].numpy().mean(-1).astype(np.float64)
     masks = scene.masks[: len(positions)].numpy().astype(np.float64)
-    images: Array = np.empty(shown.shape)
     smooth: Array = np.empty(shown.shape)
     for f in range(len(grey)):
         where = [pixels[f, :, 1] - 0.5, pixels[f, :, 0] - 0.5]
-        images[f] = map_coordinates(grey[f], where, order=1, mode="nearest")
         weight = gaussian_filter(masks[f], 3.0)
         blurred = gaussian_filter(grey[f] * masks[f], 3.0) / np.maximum(weight, 1e-3)
         smooth[f] = map_coordinates(blurred, where, order=1, mode="nearest")
@@ -80,10 +74,7 @@ def colours(reconstruction: Reconstruction, positions: Array) -> Colours:
     brightness = np.where(seen > 0.5, np.log(np.maximum(now, 1e-3) / np.maximum(first, 1e-3)), 0.0)
     patch_normals = patch(normals).mean((2, 4)).reshape(len(grey), -1, 3)
     patch_normals /= np.maximum(np.linalg.norm(patch_normals, axis=-1, keepdims=True), 1e-9)
-    lattice = np.where(shown, images, np.nan).reshape(-1, n, n)
-    return Colours(
-        brightness, np.where(seen > 0.5, seen, 0), patch_normals, lattice, pixels.reshape(-1, n, n, 2)
-    )
+    return Colours(brightness, np.where(seen > 0.5, seen, 0), patch_normals)
 
 
 @dataclass(frozen=True)
@@ -152,64 +143,3 @@ def brightness_evidence(effect: BrightnessEffect, seen: Colours) -> ColourFit:
             best = found
     assert best is not None
     return best
-
-
-def exposure_evidence(effect: ExposureEffect, seen: Colours) -> ColourFit:
-    """Evidence that frames are smeared along the motion.
-
-    A box of length e w, with w the motion between two frames, has the second moment e² |w|² / 12, so to
-    first order a smeared image is I + e²/24 (w·∇)² I. Beside it every frame may be blurred in all directions,
-    shifted and brighter, which resampling and tracking errors are.
-    """
-    F = len(seen.images)
-    smooth = np.nan_to_num(seen.images)
-    known = ~np.isnan(seen.images)
-    reference = gaussian_filter(smooth[0], 1.0)
-    velocity = np.gradient(seen.pixels, axis=0)
-    estimates, weights = [], []
-    for f in range(1, F):
-        ok = known[f] & known[0]
-        ok = gaussian_filter(ok.astype(float), 1.5) > 0.98
-        if ok.sum() < 200:
-            continue
-        # Motion in lattice units: solve J w = u with J the derivative of the pixels along the lattice.
-        J = np.stack((np.gradient(seen.pixels[f], axis=0), np.gradient(seen.pixels[f], axis=1)), -1)
-        det = J[..., 0, 0] * J[..., 1, 1] - J[..., 0, 1] * J[..., 1, 0]
-        ok &= np.abs(det) > 0.2 * np.median(np.abs(det))
-        safe = np.where(np.abs(det) > 1e-6, det, 1.0)
-        u = velocity[f]
-        a = (J[..., 1, 1] * u[..., 0] - J[..., 0, 1] * u[..., 1]) / safe
-        b = (J[..., 0, 0] * u[..., 1] - J[..., 1, 0] * u[..., 0]) / safe
-        if float(np.sqrt((a**2 + b**2)[ok].mean())) < 0.3:
-            continue
-        gi, gj = np.gradient(reference)
-        ii, ij = np.gradient(gi)
-        _, jj = np.gradient(gj)
-        # A blur that is the same in all directions of the lattice.
-        round_blur = ii + jj
-        smear = (a * a * ii + 2 * a * b * ij + b * b * jj) / 24
-        now = gaussian_filter(smooth[f], 1.0)
-        columns = np.stack((smear, round_blur, gi, gj, reference, np.ones_like(reference)), -1)[ok]
-        target = (now - reference)[ok]
-        solution, *_ = np.linalg.lstsq(columns, target, rcond=None)
-        spread = np.linalg.pinv(columns.T @ columns)[0, 0] * float((target - columns @ solution).var())
-        estimates.append(solution[0])
-        weights.append(1 / max(spread * _LATTICE, 1e-12))
-    scale = float(effect.scales[0])
-    if len(estimates) < 4:
-        return ColourFit(0.0, np.zeros(1), np.eye(1), 0.0, 0.0)
-    e, w = np.array(estimates), np.array(weights)
-    w = np.minimum(w, np.median(w) * 4)
-    squared = float((w * e).sum() / w.sum())
-    # Frames disagree by more than their own errors say: the spread counts, three in a row as one.
-    variance = float((w**2 * (e - squared) ** 2).sum() / w.sum() ** 2) * 3 + 1 / float(w.sum())
-    z = squared / np.sqrt(variance)
-    prior = scale**4
-    value = 0.5 * z**2 * prior / (prior + variance) - 0.5 * np.log1p(prior / variance)
-    if squared <= 0:
-        value = min(value, 0.0)
-    fraction = np.sqrt(max(squared, 0.0))
-    deviation = np.sqrt(variance) / (2 * max(fraction, 0.1))
-    return ColourFit(
-        float(value), np.array([fraction / scale]), np.array([[(deviation / scale) ** 2]]), 0.0, 0.0
-    )

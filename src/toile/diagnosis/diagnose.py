@@ -14,14 +14,17 @@ from numpy.typing import NDArray
 from toile.atomic_file import written_atomically
 from toile.diagnosis.aliases import alias_of
 from toile.diagnosis.border import BorderFit, border, border_evidence
-from toile.diagnosis.colours import ColourFit, brightness_evidence, colours, exposure_evidence
+from toile.diagnosis.colours import ColourFit, brightness_evidence, colours
 from toile.diagnosis.decision import UNKNOWN, Calibration, probabilities
+from toile.diagnosis.evidence import Discrepancy
 from toile.diagnosis.findings import Finding, estimates, finding, mechanical_findings, naive_answer
 from toile.diagnosis.gap_maps import gap_maps, stage_shares
 from toile.diagnosis.mechanics import analyse_mechanics
-from toile.diagnosis.model_grid import model_grid
+from toile.diagnosis.model_grid import model_grids
+from toile.diagnosis.sharpness import ExposureFit, exposure_evidence, smear
 from toile.diagnosis.shooting import ShootingSettings
 from toile.diagnosis.shrinkage import held_out_shrinks, prediction_gains
+from toile.diagnosis.stage_times import TIMES_FILE, StageTimes
 from toile.diagnosis.tracked import point_settings, track, tracked_motion
 from toile.diagnosis.verdict import verdict_of
 from toile.effects.base import BrightnessEffect, CameraEffect, Effect, ExposureEffect, MaskEffect
@@ -45,13 +48,12 @@ class DiagnosisSettings:
     """How a clip is diagnosed.
 
     Attributes:
-        side: vertices along each side of the model's grid; None for the scene's own.
+        sides: vertices along each side of the model's grids, coarse to fine; the scene's own at most.
         held_out: share of the frames at the end that nothing is fitted to.
         shooting: windows and priors.
         stiffness: start values Y [N/m], S per cell area [N/m] and B [N·m]: the same fabric on every grid.
         longest_substep: of the base model [s].
-        usual_discrepancy: size of a force mode that a right model still needs [m/s²]; beyond it something is
-            missing.
+        usual_discrepancy: that a right model still needs; beyond it something is missing.
         foretold: effects whose prediction of fitted windows from the ones before is measured.
         hindsight: share of the evidence from fitted windows that counts.
         foresight: log evidence for each logarithm by which that prediction is better.
@@ -60,12 +62,12 @@ class DiagnosisSettings:
         seed: of everything random.
     """
 
-    side: int | None = 20
+    sides: tuple[int, ...] = (20,)
     held_out: float = 0.25
     shooting: ShootingSettings = field(default_factory=ShootingSettings)
     stiffness: tuple[float, float, float] = (850.0, 2.8, 5.3e-5)
     longest_substep: float = 0.01
-    usual_discrepancy: float = 0.8
+    usual_discrepancy: Discrepancy = field(default_factory=lambda: Discrepancy(1.6, 0.1))
     foretold: int = 6
     hindsight: float = 0.3
     foresight: float = 30.0
@@ -100,11 +102,19 @@ def diagnose(
     n_frames = scene.n_frames
     used = max(6, n_frames - round(settings.held_out * n_frames))
     _start_stiffness(reconstruction, settings.stiffness)
-    positions = _tracked_positions(reconstruction, recipe, used, folder, progress)
-    grid = model_grid(scene, reconstruction.cloth, settings.side)
+    times = StageTimes()
+    with times.stage("tracking"):
+        positions, cached = _tracked_positions(reconstruction, recipe, used, folder, progress)
+    if cached:
+        times.from_cache("tracking")
     progress("what the images say", 0.45)
-    tracked = tracked_motion(reconstruction, positions, grid, point_settings(recipe), settings.seed)
-    findings = _still_findings(reconstruction, positions[:used], effects)
+    with times.stage("images"):
+        points = point_settings(recipe)
+        levels = [
+            (grid, tracked_motion(reconstruction, positions, grid, points, settings.seed))
+            for grid in model_grids(scene, reconstruction.cloth, settings.sides)
+        ]
+        findings = _still_findings(reconstruction, positions[:used], effects)
     progress("base model", 0.5)
     done = [0]
 
@@ -112,41 +122,49 @@ def diagnose(
         done[0] += 1
         progress(f"base model, cost {cost:.0f}", min(0.5 + 0.025 * done[0], 0.85))
 
-    mechanics = analyse_mechanics(
-        scene,
-        grid,
-        tracked,
-        effects,
-        settings.shooting,
-        settings.stiffness,
-        settings.longest_substep,
-        used,
-        count,
-    )
+    with times.stage("base model and evidence"):
+        mechanics = analyse_mechanics(
+            scene,
+            levels,
+            effects,
+            settings.shooting,
+            settings.stiffness,
+            settings.longest_substep,
+            used,
+            count,
+        )
     screened = mechanical_findings(mechanics, settings.usual_discrepancy)
     findings.update(screened.findings)
     calibration = Calibration.load()
-    moving = sorted(screened.findings, key=lambda name: -calibration.score(name, findings[name].log_evidence))
+    # What explains nothing in hindsight is not asked what it foretells.
+    moving = sorted(
+        (name for name, found in screened.findings.items() if found.log_evidence > 0),
+        key=lambda name: -calibration.score(name, findings[name].log_evidence),
+    )
     progress("what the effects foretell", 0.86)
-    gains = prediction_gains(mechanics, moving[: settings.foretold], findings, settings.usual_discrepancy)
+    with times.stage("foretelling"):
+        gains = prediction_gains(mechanics, moving[: settings.foretold], findings, settings.usual_discrepancy)
     evidence = {name: found.log_evidence for name, found in findings.items()}
     for name, found in screened.findings.items():
         evidence[name] = settings.hindsight * found.log_evidence + settings.foresight * gains.get(name, 0.0)
     chances = probabilities({**evidence, UNKNOWN: screened.unknown}, calibration)
     ranked = [name for name in chances if name in findings]
     progress("held-out frames", 0.87)
-    shrinks = held_out_shrinks(
-        mechanics,
-        [name for name in ranked if name in screened.findings][: settings.compared],
-        findings,
-        used=used,
-        horizon=settings.shooting.window,
-        discrepancy=settings.usual_discrepancy,
-        n_placebos=settings.placebos,
-        seed=settings.seed,
-    )
+    with times.stage("held-out frames"):
+        shrinks = held_out_shrinks(
+            mechanics,
+            [name for name in ranked if name in screened.findings][: settings.compared],
+            findings,
+            used=used,
+            horizon=settings.shooting.window,
+            discrepancy=settings.usual_discrepancy,
+            n_placebos=settings.placebos,
+            seed=settings.seed,
+        )
     progress("maps", 0.97)
-    maps = gap_maps(mechanics)
+    with times.stage("maps"):
+        maps = gap_maps(mechanics)
+    times.write(folder / TIMES_FILE)
     _write_array(folder / VERTICES_FILE, maps.vertices)
     _write_array(folder / FRAMES_FILE, maps.distances.astype(np.float32))
     _write_arrays(
@@ -157,7 +175,7 @@ def diagnose(
             "screening": np.array([found.log_evidence for found in findings.values()]),
             "foretold": np.array([gains.get(name, np.nan) for name in findings]),
             "unknown": np.array(screened.unknown),
-            "discrepancy": np.array(screened.discrepancy),
+            "discrepancy": np.array(screened.discrepancy),  # internal, external
             "base": mechanics.fit.values,
             "costs": np.array(mechanics.fit.history),
         },
@@ -196,13 +214,13 @@ def _still_findings(
     seen = colours(reconstruction, positions)
     findings = {}
     for effect in effects:
-        fit: BorderFit | ColourFit
+        fit: BorderFit | ColourFit | ExposureFit
         if isinstance(effect, CameraEffect | MaskEffect):
             fit = border_evidence(effect, scene, outline)
         elif isinstance(effect, BrightnessEffect):
             fit = brightness_evidence(effect, seen)
         elif isinstance(effect, ExposureEffect):
-            fit = exposure_evidence(effect, seen)
+            fit = exposure_evidence(effect, smear(reconstruction, positions))
         else:
             continue
         findings[effect.NAME] = finding(effect, fit.log_evidence, fit.mean, fit.covariance)
@@ -211,13 +229,13 @@ def _still_findings(
 
 def _tracked_positions(
     reconstruction: Reconstruction, recipe: TrackingRecipe, used: int, folder: Path, progress: Progress
-) -> Array:
-    """Frame positions (F, N, 3) [m], from the folder if they are there."""
+) -> tuple[Array, bool]:
+    """Frame positions (F, N, 3) [m], and whether they come from the folder."""
     path = folder / TRACKED_FILE
     if path.exists():
         with np.load(path) as stored:
             if int(stored["used"]) == used:
-                return np.asarray(stored["positions"])
+                return np.asarray(stored["positions"]), True
     n_frames = reconstruction.scene.n_frames
 
     def report(frame: int, share: float) -> None:
@@ -225,7 +243,7 @@ def _tracked_positions(
 
     positions = track(reconstruction, recipe, used, report)
     _write_arrays(path, {"positions": positions, "used": np.array(used)})
-    return positions
+    return positions, False
 
 
 def _start_stiffness(reconstruction: Reconstruction, stiffness: tuple[float, float, float]) -> None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,18 @@ from toile.diagnosis.positive import positive_factor
 Array = NDArray[np.float64]
 
 
+class Discrepancy(NamedTuple):
+    """Deviations of a mode of the missing force [m/s²].
+
+    Attributes:
+        internal: of a mode that leaves the balance of torques alone.
+        external: of one that does not; see force_modes.
+    """
+
+    internal: float
+    external: float
+
+
 @dataclass(frozen=True)
 class WindowSystem:
     """Gauss-Newton system of one window over [base | effects | local].
@@ -28,15 +41,16 @@ class WindowSystem:
     Attributes:
         matrix, gradient: of the image term, local force columns in m/s².
         white: current local unknowns in units of the base fit's deviations.
-        forces: index of the first force column among the local ones.
-        force: deviation of the forces in the base fit [m/s²].
+        internal, external: which local columns are forces of that kind (n_local,).
+        fitted: deviations of the forces in the base fit.
     """
 
     matrix: Array
     gradient: Array
     white: Array
-    forces: int
-    force: float
+    internal: NDArray[np.bool_]
+    external: NDArray[np.bool_]
+    fitted: Discrepancy
 
 
 @dataclass(frozen=True)
@@ -54,20 +68,24 @@ class Posterior:
 
     Attributes:
         log_evidence: integrated over the hypothesis' numbers, at its best discrepancy.
-        discrepancy: that deviation [m/s²].
+        discrepancy: that one.
         mean, covariance: of the effect's numbers, in units of their prior deviations, (n,), (n, n).
         columns: which columns those are.
     """
 
     log_evidence: float
-    discrepancy: float
+    discrepancy: Discrepancy
     mean: Array
     covariance: Array
     columns: tuple[int, ...]
 
 
-DISCREPANCIES = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
-"""Deviations of a force mode that are tried [m/s²]."""
+INTERNAL = (0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
+EXTERNAL = (0.025, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6)
+DISCREPANCIES = tuple(Discrepancy(a, b) for a in INTERNAL for b in EXTERNAL)
+"""What is tried."""
+
+ANY = Discrepancy(np.inf, np.inf)
 
 
 class Evidence:
@@ -91,19 +109,19 @@ class Evidence:
         self.n_shared = len(systems[0].gradient) - len(systems[0].white)
         self.reduced = {size: _reduce(systems, size, self.n_shared) for size in DISCREPANCIES}
 
-    def posterior(self, columns: Sequence[int], largest: float = np.inf) -> Posterior:
+    def posterior(self, columns: Sequence[int], largest: Discrepancy = ANY) -> Posterior:
         """The hypothesis that frees these columns, at its best discrepancy up to ``largest``."""
         best: Posterior | None = None
         for size in DISCREPANCIES:
-            if size > largest and best is not None:
-                break
+            if not _within(size, largest):
+                continue
             found = self._at(columns, size)
             if best is None or found.log_evidence > best.log_evidence:
                 best = found
         assert best is not None
         return best
 
-    def signed(self, columns: Sequence[int], lowest: Array, largest: float = np.inf) -> Posterior:
+    def signed(self, columns: Sequence[int], lowest: Array, largest: Discrepancy = ANY) -> Posterior:
         """The best hypothesis among subsets of the columns whose numbers obey their bounds.
 
         Args:
@@ -140,13 +158,13 @@ class Evidence:
             best.columns,
         )
 
-    def loss_drop(self, columns: Sequence[int], size: float) -> float:
+    def loss_drop(self, columns: Sequence[int], size: Discrepancy) -> float:
         """By how much the training loss falls with these columns free, without any charge for them."""
         size = _tried(size)
         free = self._at(columns, size, charge=False).log_evidence
         return free - self._at((), size, charge=False).log_evidence
 
-    def fisher(self, size: float) -> Array:
+    def fisher(self, size: Discrepancy) -> Array:
         """Information on all effect columns with base, starts, anchors and discrepancy integrated out."""
         reduced = self.reduced[size]
         b = self.n_base
@@ -154,13 +172,13 @@ class Evidence:
         C = reduced.matrix[:b, b:]
         return np.asarray(reduced.matrix[b:, b:] - C.T @ np.linalg.solve(A, C))
 
-    def given(self, columns: Sequence[int], numbers: Array, size: float) -> tuple[Array, list[Array]]:
+    def given(self, columns: Sequence[int], numbers: Array, size: Discrepancy) -> tuple[Array, list[Array]]:
         """Base values, and changes of every window's local columns, where the effect's numbers are given.
 
         Args:
             columns: of the effect.
             numbers: in units of their prior deviations.
-            size: of the discrepancy [m/s²], taken to the next one that was tried.
+            size: of the discrepancy, taken to the next one that was tried.
         """
         size = _tried(size)
         reduced, b, n = self.reduced[size], self.n_base, self.n_shared
@@ -177,7 +195,7 @@ class Evidence:
             changes.append(scale * cho_solve(factor, u))
         return self.values + given[:b], changes
 
-    def _at(self, columns: Sequence[int], size: float, *, charge: bool = True) -> Posterior:
+    def _at(self, columns: Sequence[int], size: Discrepancy, *, charge: bool = True) -> Posterior:
         reduced = self.reduced[size]
         index = np.array([*range(self.n_base), *columns], int)
         scale = np.concatenate((self.deviations, np.full(len(columns), self.slack)))
@@ -194,12 +212,20 @@ class Evidence:
         return Posterior(float(value), size, (scale * white)[b:], covariance[b:, b:], tuple(columns))
 
 
-def _tried(size: float) -> float:
+def _within(size: Discrepancy, largest: Discrepancy) -> bool:
+    limit = _tried(largest)
+    return size.internal <= limit.internal and size.external <= limit.external
+
+
+def _tried(size: Discrepancy) -> Discrepancy:
     """The largest discrepancy that is tried and not above ``size``, or the smallest."""
-    return max((d for d in DISCREPANCIES if d <= size), default=DISCREPANCIES[0])
+    return Discrepancy(
+        max((d for d in INTERNAL if d <= size.internal), default=INTERNAL[0]),
+        max((d for d in EXTERNAL if d <= size.external), default=EXTERNAL[0]),
+    )
 
 
-def _reduce(systems: Sequence[WindowSystem], size: float, n: int) -> Reduced:
+def _reduce(systems: Sequence[WindowSystem], size: Discrepancy, n: int) -> Reduced:
     matrix, right, constant = np.zeros((n, n)), np.zeros(n), 0.0
     for s in systems:
         scale, mean = _scaled(s, size)
@@ -213,10 +239,13 @@ def _reduce(systems: Sequence[WindowSystem], size: float, n: int) -> Reduced:
     return Reduced(matrix, right, float(constant))
 
 
-def _scaled(s: WindowSystem, size: float) -> tuple[Array, Array]:
+def _scaled(s: WindowSystem, size: Discrepancy) -> tuple[Array, Array]:
     """Prior deviations of the local columns and their present white values, at a size of the discrepancy."""
-    forces = np.arange(len(s.white)) >= s.forces
-    return np.where(forces, size, 1.0), s.white * np.where(forces, s.force / size, 1.0)
+    scale = np.ones(len(s.white))
+    fitted = np.ones(len(s.white))
+    for kind, now, then in zip((s.internal, s.external), size, s.fitted, strict=True):
+        scale[kind], fitted[kind] = now, then
+    return scale, s.white * fitted / scale
 
 
 # Log evidence taken from an effect whose every sign is impossible.

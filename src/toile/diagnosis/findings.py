@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from toile.diagnosis.mechanics import Mechanics
+from toile.diagnosis.evidence import Discrepancy
+from toile.diagnosis.mechanics import Mechanics, fitted_discrepancy
 from toile.effects.base import CameraEffect, Effect
 from toile.evaluation.diagnosis_record import Estimate
 
@@ -47,16 +48,16 @@ class Screening:
 
     Attributes:
         findings: of effects that move the cloth.
-        discrepancy: size of the forces that the base model lacks [m/s²].
+        discrepancy: size of the forces that the base model lacks.
         unknown: log evidence that forces beyond the usual are missing.
     """
 
     findings: dict[str, Finding]
-    discrepancy: float
+    discrepancy: Discrepancy
     unknown: float
 
 
-def mechanical_findings(mechanics: Mechanics, usual: float) -> Screening:
+def mechanical_findings(mechanics: Mechanics, usual: Discrepancy) -> Screening:
     """Evidence of every effect that moves the cloth.
 
     Effects have to do with the usual discrepancy; what needs more is outside the catalogue. Wrong cameras are
@@ -64,7 +65,7 @@ def mechanical_findings(mechanics: Mechanics, usual: float) -> Screening:
 
     Args:
         mechanics: see Mechanics.
-        usual: size of the discrepancy of a right model [m/s²].
+        usual: discrepancy of a right model.
     """
     evidence = mechanics.evidence
     base = evidence.posterior((), usual)
@@ -91,7 +92,7 @@ def naive_answer(mechanics: Mechanics, findings: Mapping[str, Finding]) -> str:
     drops = {name: f.log_evidence for name, f in findings.items() if name not in mechanics.columns}
     for name, (a, b) in mechanics.columns.items():
         columns = list(range(evidence.n_base + a, evidence.n_base + b))
-        drop = evidence.loss_drop(columns, mechanics.shooting.settings.force)
+        drop = evidence.loss_drop(columns, fitted_discrepancy(mechanics.shooting))
         drops[name] = max(drop, drops.get(name, -np.inf))
     return max(drops, key=lambda name: drops[name])
 

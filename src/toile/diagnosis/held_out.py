@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from toile.cloth.material import Material
 from toile.cloth.state import State
@@ -26,10 +27,12 @@ class Prediction:
     Attributes:
         positions: (n, N, 3) [m] of frames first + 1 ... first + n.
         errors: root mean square distance to the tracked positions per frame (n,) [m].
+        substeps: positions of all sub-steps (1, S + 1, N, 3) [m].
     """
 
     positions: Array
     errors: Array
+    substeps: Tensor
 
 
 def predict(
@@ -41,6 +44,7 @@ def predict(
     first: int,
     last: int,
     extra: Array | None = None,
+    similar: Tensor | None = None,
 ) -> Prediction | None:
     """Simulate frames first ... last from a state, without free forces; None where the solver fails.
 
@@ -53,6 +57,7 @@ def predict(
         first: frame of the state.
         last: frame.
         extra: constant force per mass beside (N, 3) [m/s²].
+        similar: sub-steps of a motion over the same frames to start every step's solver near.
     """
     wind = base.wind @ shooting.horizontal
     simulator, _, forces, anchors = changed_simulation(
@@ -66,9 +71,11 @@ def predict(
         forces[None, first:last],
         anchors[None, first : last + 1],
         shooting.substeps,
+        similar,
         throw=False,
     )
     if any(s.status[0] is not StepStatus.CONVERGED for s in motion.steps):
         return None
     positions = motion.positions[0, 1:].detach().numpy()
-    return Prediction(positions, shooting.tracked.distances(slice(first + 1, last + 1), positions))
+    errors = shooting.tracked.distances(slice(first + 1, last + 1), positions)
+    return Prediction(positions, errors, motion.all_positions)

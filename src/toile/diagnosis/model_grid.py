@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,6 +45,12 @@ class ModelGrid:
 def spline_matrix(n: int, at: Array) -> Array:
     """Values of the cubic spline through n evenly spaced values on [0, 1], (len(at), n)."""
     return np.asarray(CubicSpline(np.linspace(0, 1, n), np.eye(n), axis=0)(at))
+
+
+def model_grids(scene: Scene, fine: Cloth, sides: Sequence[int]) -> list[ModelGrid]:
+    """Models of ever more vertices; sizes beyond the scene's own grid count as that, and only once."""
+    whole = max(scene.grid)
+    return [model_grid(scene, fine, side) for side in dict.fromkeys(min(side, whole) for side in sides)]
 
 
 def model_grid(scene: Scene, fine: Cloth, side: int | None) -> ModelGrid:

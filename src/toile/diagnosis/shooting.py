@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from toile.cloth.cloth import Cloth
 from toile.cloth.material import Material
 from toile.cloth.state import State
+from toile.diagnosis.force_modes import external_first, n_balanced
 from toile.diagnosis.sensitivities import Columns, KnownMotion, StepForces
 from toile.diagnosis.tracked import Tracked
 from toile.effects.base import Effect, Surroundings
@@ -46,6 +47,7 @@ class ShootingSettings:
         stiffness: of log Y, S, B.
         wind: of each horizontal component [m/s²].
         force: of each mode of the force per mass while the base is fitted [m/s²].
+        external: of those among them that disturb the balance of torques [m/s²]; see force_modes.
         trust: in the image term, whose errors are not independent from point to point; 1 if they were.
         sweeps: ways through the clip, window by window.
         iterations: per window of a sweep.
@@ -62,6 +64,7 @@ class ShootingSettings:
     stiffness: float = 1.0
     wind: float = 2.0
     force: float = 0.7
+    external: float = 0.1
     trust: float = 0.01
     sweeps: int = 2
     iterations: int = 4
@@ -161,6 +164,10 @@ class Shooting:
         self.fields = self.fields * self.free
         self.n_fields = len(self.fields)
         self.n_held = len(simulator.cloth.held)
+        held = simulator.assembly.held
+        size = float(np.linalg.norm(np.ptp(tracked.positions[0], axis=0)))
+        self.n_external = n_balanced(tracked.positions[0][held], size)
+        self._force_fields: dict[tuple[int, int], Array] = {}
 
     # The layout of a window's local unknowns: [start positions | start velocities | anchors | forces].
 
@@ -174,7 +181,26 @@ class Shooting:
         forces = anchors + self.n_knots(n_frames, self.settings.anchor_knot) * self.n_held * 3
         return anchors, forces, forces + self.n_knots(n_frames, self.settings.force_knot) * self.n_fields
 
-    def deviations(self, n_frames: int, force: float) -> Array:
+    def external(self, n_frames: int) -> NDArray[np.bool_]:
+        """Which local unknowns are forces that disturb the balance of torques (n_local,)."""
+        _, forces, total = self.layout(n_frames)
+        at = np.arange(total) - forces
+        return np.asarray((at >= 0) & (at % self.n_fields < self.n_external))
+
+    def force_fields(self, first: int, last: int) -> Array:
+        """Force modes per mass (n_knots, n_fields, N, 3) of a window, external ones first at every knot."""
+        if (first, last) not in self._force_fields:
+            held = self.simulator.assembly.held
+            spacing = self.settings.force_knot
+            found = []
+            for knot in range(self.n_knots(last - first, spacing)):
+                x = self.tracked.positions[min(first + knot * spacing, last)]
+                turned = external_first(self.fields, self.masses, x, x[held], self.n_external)
+                found.append(np.tensordot(turned, self.fields, 1))
+            self._force_fields[first, last] = np.stack(found)
+        return self._force_fields[first, last]
+
+    def deviations(self, n_frames: int, force: float, external: float) -> Array:
         """Prior standard deviations of the local unknowns' columns."""
         anchors, forces, total = self.layout(n_frames)
         out = np.empty(total)
@@ -182,13 +208,14 @@ class Shooting:
         out[self.n_fields : anchors] = self.settings.start_velocity
         out[anchors:forces] = self.settings.anchor
         out[forces:] = force
+        out[self.external(n_frames)] = external
         return out
 
     def local(self, window: WindowMotion, white: Array) -> tuple[State, Array, Array]:
         """Start state, held positions (n + 1, n_held, 3) and force per mass (n, N, 3) of local unknowns."""
         n = window.last - window.first
         oa, of, _ = self.layout(n)
-        values = white * self.deviations(n, self.settings.force)
+        values = white * self.deviations(n, self.settings.force, self.settings.external)
         x0 = np.tensordot(values[: self.n_fields], self.fields, 1)
         v0 = np.tensordot(values[self.n_fields : oa], self.fields, 1)
         knots = hats(
@@ -197,7 +224,12 @@ class Shooting:
         moved = (knots @ values[oa:of].reshape(knots.shape[1], -1)).reshape(n + 1, -1, 3)
         anchors = self.anchors[window.first : window.last + 1] + moved
         knots = hats(np.arange(n) + 0.5, self.settings.force_knot, self.n_knots(n, self.settings.force_knot))
-        force = np.tensordot(knots @ values[of:].reshape(knots.shape[1], -1), self.fields, 1)
+        at_knots = np.einsum(
+            "qk,qknc->qnc",
+            values[of:].reshape(knots.shape[1], -1),
+            self.force_fields(window.first, window.last),
+        )
+        force = np.tensordot(knots, at_knots, 1)
         ref = window.reference
         h = self.simulator.time_step
         held = self.simulator.assembly.held
@@ -295,7 +327,7 @@ class Shooting:
         oa, of, total = self.layout(n)
         sub = self.substeps
         R = n_shared + total
-        unit = self.deviations(n, 1.0)
+        unit = self.deviations(n, 1.0, 1.0)
         N = len(self.masses)
         start, speed = np.zeros((R, N, 3)), np.zeros((R, N, 3))
         a, b = n_shared, n_shared + self.n_fields
@@ -309,7 +341,7 @@ class Shooting:
         steps = np.arange(n * sub)
         anchor_hats = hats((steps + 1) / sub, self.settings.anchor_knot, na)
         force_hats = hats(steps // sub + 0.5, self.settings.force_knot, nf)
-        weighted = self.fields * self.masses[:, None]
+        weighted = self.force_fields(window.first, window.last) * self.masses[:, None]
         assert window.start is not None
         motion = KnownMotion(
             self.simulator,
@@ -329,7 +361,7 @@ class Shooting:
                 displaced[o : o + self.n_held * 3] = anchor_hats[step.index, q] * anchor
             for q in np.flatnonzero(force_hats[step.index]):
                 o = n_shared + of + q * self.n_fields
-                f[o : o + self.n_fields] = force_hats[step.index, q] * weighted
+                f[o : o + self.n_fields] = force_hats[step.index, q] * weighted[q]
             return Columns(f, displaced)
 
         G, g = np.zeros((R, R)), np.zeros(R)

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from toile.cloth.state import State
 from toile.diagnosis.base_fit import base_of, local_scales
+from toile.diagnosis.evidence import Discrepancy
 from toile.diagnosis.findings import Finding
-from toile.diagnosis.held_out import predict
+from toile.diagnosis.held_out import Prediction, predict
 from toile.diagnosis.mechanics import Mechanics
 from toile.effects.base import Effect
 from toile.evaluation.diagnosis_record import Shrink
@@ -36,7 +37,7 @@ def held_out_shrinks(
     *,
     used: int,
     horizon: int,
-    discrepancy: float,
+    discrepancy: Discrepancy,
     n_placebos: int,
     seed: int,
 ) -> dict[str, Shrink]:
@@ -51,7 +52,7 @@ def held_out_shrinks(
         findings: their numbers.
         used: frames that were fitted.
         horizon: held-out frames at most.
-        discrepancy: size of the forces in the refit [m/s²].
+        discrepancy: in the refit.
         n_placebos: force fields without meaning, see best_placebo.
         seed: of placebos and resampling.
     """
@@ -64,7 +65,7 @@ def held_out_shrinks(
     base = predict(mechanics.shooting, around, fit.base, (), end, first, last)
     if base is None:
         return {}
-    placebo = best_placebo(mechanics, end, base.errors, first, last, n_placebos, seed)
+    placebo = best_placebo(mechanics, end, base, first, last, n_placebos, seed)
     found: dict[str, Shrink] = {}
     for name in names:
         refit = refit_with(mechanics, name, findings[name], discrepancy, last_only=True)
@@ -72,7 +73,9 @@ def held_out_shrinks(
         if state is None:
             continue
         model = base_of(fit.start_stiffness, refit.values)
-        better = predict(mechanics.shooting, around, model, (refit.effect,), state, first, last)
+        better = predict(
+            mechanics.shooting, around, model, (refit.effect,), state, first, last, similar=base.substeps
+        )
         if better is None:
             continue
         total = float(1 - better.errors.mean() / base.errors.mean())
@@ -91,14 +94,14 @@ def held_out_shrinks(
 
 
 def best_placebo(
-    mechanics: Mechanics, end: State, base: Array, first: int, last: int, n: int, seed: int
+    mechanics: Mechanics, end: State, base: Prediction, first: int, last: int, n: int, seed: int
 ) -> float | None:
     """Best shrink by the last discrepancy force carried forward, and by the same one on other vertices.
 
     Args:
         mechanics: base fit.
         end: state at ``first``.
-        base: errors of the base model (last - first,) [m].
+        base: prediction of the base model.
         first: frame of the state.
         last: frame.
         n: fields tried; the first is the discrepancy itself.
@@ -110,9 +113,19 @@ def best_placebo(
     best: float | None = None
     for index in range(n):
         field = force[-1] if index == 0 else force[-1][rng.permutation(force.shape[1])]
-        found = predict(mechanics.shooting, mechanics.around, mechanics.fit.base, (), end, first, last, field)
+        found = predict(
+            mechanics.shooting,
+            mechanics.around,
+            mechanics.fit.base,
+            (),
+            end,
+            first,
+            last,
+            field,
+            base.substeps,
+        )
         if found is not None:
-            shrink = float(1 - found.errors.mean() / base.mean())
+            shrink = float(1 - found.errors.mean() / base.errors.mean())
             best = shrink if best is None else max(best, shrink)
     return best
 
@@ -133,7 +146,7 @@ class Refit:
 
 
 def refit_with(
-    mechanics: Mechanics, name: str, finding: Finding, discrepancy: float, *, last_only: bool
+    mechanics: Mechanics, name: str, finding: Finding, discrepancy: Discrepancy, *, last_only: bool
 ) -> Refit:
     """Base values, starts, anchors and forces that go best with an effect's numbers, to first order.
 
@@ -167,7 +180,7 @@ def refit_with(
 
 
 def prediction_gains(
-    mechanics: Mechanics, names: Sequence[str], findings: Mapping[str, Finding], discrepancy: float
+    mechanics: Mechanics, names: Sequence[str], findings: Mapping[str, Finding], discrepancy: Discrepancy
 ) -> dict[str, float]:
     """Log of how much better a window is foretold from the end of the one before, summed over fitted windows.
 
@@ -178,7 +191,7 @@ def prediction_gains(
         mechanics: base fit and evidence.
         names: effects that move the cloth.
         findings: their numbers.
-        discrepancy: size of the forces in the refit [m/s²].
+        discrepancy: in the refit.
     """
     fit, shooting, around = mechanics.fit, mechanics.shooting, mechanics.around
 
@@ -187,7 +200,10 @@ def prediction_gains(
         model = base_of(fit.start_stiffness, values)
         for index, (state, window) in enumerate(zip(ends[:-1], fit.windows[1:], strict=True)):
             if state is not None:
-                ahead = predict(shooting, around, model, effects, state, window.first, window.last)
+                near = torch.from_numpy(window.positions)[None]
+                ahead = predict(
+                    shooting, around, model, effects, state, window.first, window.last, similar=near
+                )
                 found[index] = np.nan if ahead is None else float(ahead.errors.mean())
         return found
 

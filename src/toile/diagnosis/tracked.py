@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,13 +25,14 @@ class Tracked:
 
     Attributes:
         positions: (F, N, 3) [m].
-        information: (F, 3N, 3N) Gauss-Newton matrices of the image term [1/m²], in units of its noise.
+        information: F Gauss-Newton matrices of the image term (3N, 3N) [1/m²], in units of its noise; sparse
+            on the scene's own grid.
         gradient: of the image term at ``positions`` (F, N, 3) [1/m], in the same units.
         fine_positions: on the scene's grid (F, N_scene, 3) [m].
     """
 
     positions: Array
-    information: Single
+    information: Sequence[Single | sparse.csr_matrix]
     gradient: Array
     fine_positions: Array
 
@@ -117,26 +118,40 @@ def tracked_motion(
     same = prolong.shape[0] == prolong.shape[1]
     model = np.einsum("cn,fnd->fcd", grid.restrict, positions)
     n = prolong.shape[1]
-    information = np.zeros((len(positions), n, 3, n, 3), np.float32)
+    information: list[Single | sparse.csr_matrix] = []
     gradient = np.empty_like(model)
     for f in range(len(positions)):
         # Where the coarse motion cannot follow the fine one, the term has its slope.
         off = (grid.prolong @ model[f] - positions[f]).astype(np.float32)
         fine = value.gradient[f].copy()
+        dense = np.zeros((0 if same else n, 3, n, 3), np.float32)
+        whole: sparse.csr_matrix | None = None
         for c in range(3):
             for d in range(c, 3):
-                weights = sparse.diags(value.matrices[f, :, c, d].astype(np.float32))
+                weights = sparse.diags(scale * value.matrices[f, :, c, d].astype(np.float32))
                 block = (at_points.T @ weights @ at_points).tocsr()
-                coarse = block.toarray() if same else prolong.T @ (block @ prolong)
-                information[f, :, c, :, d] = coarse
-                information[f, :, d, :, c] = coarse.T
-                fine[:, c] += block @ off[:, d]
+                if same:
+                    # Components of a vertex lie side by side.
+                    placed = sparse.kron(block, _component(c, d), "csr")
+                    placed = placed if c == d else placed + sparse.kron(block.T, _component(d, c), "csr")
+                    whole = placed if whole is None else whole + placed
+                else:
+                    coarse = prolong.T @ (block @ prolong)
+                    dense[:, c, :, d] = coarse
+                    dense[:, d, :, c] = coarse.T
+                fine[:, c] += block @ off[:, d] / scale
                 if c != d:
-                    fine[:, d] += block.T @ off[:, c]
+                    fine[:, d] += block.T @ off[:, c] / scale
+        information.append(dense.reshape(3 * n, 3 * n) if whole is None else whole)
         gradient[f] = grid.prolong.T @ fine
-    return Tracked(
-        model, scale * information.reshape(len(positions), 3 * n, 3 * n), scale * gradient, positions
-    )
+    return Tracked(model, information, scale * gradient, positions)
+
+
+def _component(row: int, column: int) -> Single:
+    """One at (row, column), (3, 3)."""
+    out = np.zeros((3, 3), np.float32)
+    out[row, column] = 1
+    return out
 
 
 def point_settings(recipe: TrackingRecipe) -> PointTermSettings:

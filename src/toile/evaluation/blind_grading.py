@@ -15,6 +15,7 @@ from toile.errors import InputError
 from toile.evaluation.blind_measures import confusion, detection, mark, measured
 from toile.evaluation.blind_run import Predictions, read_predictions
 from toile.evaluation.blind_sealing import BlindSet, SealKey, read_commitments
+from toile.evaluation.blind_tables import by_effect, by_generator, limits, over_naive
 
 SHRINKS = {
     "shrink_true": "true effect",
@@ -32,6 +33,7 @@ class Grade:
         measures: the table of measures, see blind_measures.measured.
         confusion: see blind_measures.confusion.
         detection: see blind_measures.detection.
+        generators, effects, limits, over_naive: see blind_tables.
         predictions: hash of the graded predictions.
         blind: whether nobody could have known the labels (the key was drawn, not made from a seed).
     """
@@ -40,6 +42,10 @@ class Grade:
     measures: pd.DataFrame
     confusion: pd.DataFrame
     detection: pd.DataFrame
+    generators: pd.DataFrame
+    effects: pd.DataFrame
+    limits: pd.DataFrame
+    over_naive: pd.DataFrame
     predictions: str
     blind: bool
 
@@ -97,6 +103,10 @@ def grade_set(
         measures=measured(marks, resamplings=resamplings, seed=seed),
         confusion=confusion(marks),
         detection=detection(marks),
+        generators=by_generator(marks, resamplings=resamplings, seed=seed),
+        effects=by_effect(marks),
+        limits=limits(found.values()),
+        over_naive=over_naive(marks, resamplings=resamplings, seed=seed),
         predictions=digest,
         blind=bool(blind.read_description()["blind"]),
     )
@@ -111,6 +121,10 @@ def write_grade(grade: Grade, folder: Path) -> list[Path]:
         "scenes": grade.marks,
         "confusion": grade.confusion.reset_index(),
         "detection": grade.detection,
+        "generators": grade.generators,
+        "effects": grade.effects,
+        "limits": grade.limits,
+        "over_naive": grade.over_naive,
     }
     for name, table in tables.items():
         path = folder / f"{name}.csv"

@@ -1,15 +1,18 @@
 """Whether the files of a set tell what their labels say, without any look at the cloth.
 
-A linear classifier on statistics of whole files (sizes, brightness, motion energy, mask area) is trained and
-tested by cross-validation. Near chance it shows that nulls and effects are matched; what it finds above
-chance, a diagnosis could have had without understanding anything.
+A linear classifier on statistics of whole files (sizes, time stamps, entries of scene.json, brightness,
+motion energy, mask area) is trained and tested by cross-validation. Near chance it shows that nulls and
+effects are matched; what it finds above chance, a diagnosis could have had without understanding anything.
+Whether it would find a leak at all is measured with leaks that are planted.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -57,7 +60,17 @@ def file_statistics(folder: Path) -> dict[str, float]:
     sizes = np.array([p.stat().st_size for p in frames], np.float64)
     mask_sizes = np.array([p.stat().st_size for p in masks], np.float64)
     third = max(1, len(images) // 3)
+    files = [p for p in folder.rglob("*") if p.is_file()]
+    stamps = np.array([p.stat().st_mtime for p in files], np.float64)
+    values = json.loads((folder / "scene.json").read_text())
     return {
+        "files": float(len(files)),
+        "time_stamp": float(np.median(stamps)),
+        "time_stamp_spread": float(stamps.std()),
+        "json_keys": float(_keys(values)),
+        "fps": float(values["fps"]),
+        "focal_length": float(values["K"][0][0]) / float(images.shape[2]),
+        "gravity_down": float(values["gravity"][1]),
         "n_frames": float(len(frames)),
         "height": float(images.shape[1]),
         "width": float(images.shape[2]),
@@ -100,6 +113,7 @@ def leak(
     Raises:
         InputError: fewer than two classes of enough scenes.
     """
+    folds = max(folds, 2)
     names, index, counts = np.unique(np.array(classes), return_inverse=True, return_counts=True)
     kept = np.isin(index, np.flatnonzero(counts >= folds))
     if (counts >= folds).sum() < 2:
@@ -122,34 +136,152 @@ def leak(
 
 
 def leaks_of(blind: BlindSet, key: SealKey, *, seed: int = 0, permutations: int = 200) -> pd.DataFrame:
-    """Leaks of a set by generator: effect or none, and the stage; one row per question.
+    """Leaks of a set, see leaks.
 
     Opens the labels: for sets that have been graded, or for development.
     """
     names = sorted(blind.names())
     labels = [blind.open(key, name).label for name in names]
-    table = pd.DataFrame([file_statistics(blind.scenes / name) for name in names])
-    generators = np.array([label.get("generator", "?") for label in labels])
-    answers = {
-        "effect or none": ["none" if label["effect"] == "none" else "effect" for label in labels],
-        "stage": [label["stage"] for label in labels],
+    statistics = pd.DataFrame([file_statistics(blind.scenes / name) for name in names])
+    truth = pd.DataFrame(
+        {
+            "generator": [label.get("generator", "?") for label in labels],
+            "effect": [label["effect"] for label in labels],
+            "stage": [label["stage"] for label in labels],
+        }
+    )
+    return leaks(statistics, truth, seed=seed, permutations=permutations)
+
+
+def leaks(
+    statistics: pd.DataFrame, truth: pd.DataFrame, *, seed: int = 0, permutations: int = 200
+) -> pd.DataFrame:
+    """What the classifier finds, one row per generator and question; those with too few scenes are left out.
+
+    Generators make different scenes, so each is a question of its own: effect or none, which stage, and,
+    where an effect comes at least twice, which effect.
+
+    Args:
+        statistics: of file_statistics, one row per scene.
+        truth: ``generator``, ``effect`` and ``stage`` of the same scenes; "none" for nulls.
+        seed: of folds and permutations.
+        permutations: of the labels.
+    """
+    any_effect = np.where(truth["effect"] == "none", "none", "effect")
+    # Folds at most: as many as keep most classes in.
+    questions: dict[str, tuple[Sequence[str], int]] = {
+        "effect or none": (any_effect.tolist(), 5),
+        "stage": (truth["stage"].tolist(), 3),
+        "effect": (truth["effect"].tolist(), 2),
     }
     rows = []
-    for generator in np.unique(generators):
-        chosen = generators == generator
-        for question, classes in answers.items():
+    for generator in sorted(truth["generator"].unique()):
+        chosen = (truth["generator"] == generator).to_numpy()
+        for question, (classes, most) in questions.items():
+            folds = _folds(any_effect[chosen], most) if question == "effect or none" else most
             try:
                 found = leak(
-                    f"{question} ({generator})",
-                    table[chosen].to_numpy(np.float64),
+                    question,
+                    statistics[chosen].to_numpy(np.float64),
                     [c for c, inside in zip(classes, chosen, strict=True) if inside],
                     seed=seed,
                     permutations=permutations,
+                    folds=folds,
                 )
             except InputError:
                 continue
-            rows.append(vars(found))
-    return pd.DataFrame(rows)
+            rows.append({"generator": generator, **vars(found)})
+    columns = ["generator", "question", "accuracy", "chance_low", "chance_high", "p_value", "scenes"]
+    return pd.DataFrame(rows, columns=columns)
+
+
+PLANTED: Mapping[str, tuple[str, float]] = {
+    "nothing (shuffled labels)": ("files", 0.0),
+    "one more key in scene.json": ("json_keys", 1.0),
+    "files made 1 s later": ("time_stamp", 1.0),
+    "images 20 % brighter": ("brightness", 0.2),
+    "images 60 % brighter": ("brightness", 0.6),
+    "masks 60 % larger": ("mask_area", 0.6),
+}
+"""Leaks to plant: a statistic and what scenes with an effect have more of it; shares for those of images."""
+
+_SHARES = ("brightness", "mask_area")
+
+
+def power(
+    statistics: pd.DataFrame,
+    truth: pd.DataFrame,
+    *,
+    seed: int = 0,
+    draws: int = 30,
+    permutations: int = 100,
+    level: float = 0.05,
+) -> pd.DataFrame:
+    """How often the classifier tells effect from none where a leak is planted, and where there is none.
+
+    In every draw the labels are shuffled first, so that nothing but what is planted can be found.
+
+    Args:
+        statistics: see leaks.
+        truth: see leaks.
+        seed: of everything random.
+        draws: of labels.
+        permutations: of the labels in every draw.
+        level: p-value below which a leak counts as found.
+
+    Returns:
+        Columns: generator, planted, found (share of the draws), accuracy (mean), scenes, draws.
+    """
+    rows = []
+    for generator in sorted(truth["generator"].unique()):
+        chosen = (truth["generator"] == generator).to_numpy()
+        table = statistics[chosen].reset_index(drop=True)
+        classes = np.where(truth["effect"][chosen] == "none", "none", "effect")
+        folds = _folds(classes, 5)
+        if folds < 2:
+            continue
+        for planted, (column, amount) in PLANTED.items():
+            rng = np.random.default_rng(seed)
+            found = []
+            for _ in range(draws):
+                labels = rng.permutation(classes)
+                changed = table.copy()
+                more = amount * (changed[column] if column in _SHARES else 1.0)
+                changed[column] = changed[column] + more * (labels == "effect")
+                found.append(
+                    leak(
+                        planted,
+                        changed.to_numpy(np.float64),
+                        labels.tolist(),
+                        seed=int(rng.integers(2**31)),
+                        permutations=permutations,
+                        folds=folds,
+                    )
+                )
+            rows.append(
+                {
+                    "generator": generator,
+                    "planted": planted,
+                    "found": float(np.mean([f.p_value < level for f in found])),
+                    "accuracy": float(np.mean([f.accuracy for f in found])),
+                    "scenes": len(table),
+                    "draws": draws,
+                }
+            )
+    return pd.DataFrame(rows, columns=["generator", "planted", "found", "accuracy", "scenes", "draws"])
+
+
+def _folds(classes: NDArray[np.str_], most: int) -> int:
+    """Folds that leave neither of two classes out; 2 at least, unless one has a single scene or none."""
+    fewest = min(int((classes == name).sum()) for name in ("none", "effect"))
+    return min(most, fewest)
+
+
+def _keys(values: Any) -> int:
+    """Number of keys in JSON values, nested ones included."""
+    if isinstance(values, dict):
+        return len(values) + sum(_keys(v) for v in values.values())
+    return 0
 
 
 def _accuracy(x: Array, y: NDArray[np.int64], folds: int, rng: np.random.Generator) -> float:

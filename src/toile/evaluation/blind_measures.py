@@ -11,8 +11,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
 
 from toile.effects.catalogue import STAGES
+from toile.evaluation.blind_magnitudes import comparisons, coverage, relative_error
 from toile.evaluation.blind_sealing import Sealed
 from toile.evaluation.diagnosis_record import AMBIGUOUS, NONE, UNKNOWN, GapReport, Verdict
 
@@ -22,6 +24,32 @@ CONFIDENT = 0.9
 """Probability from which a wrong answer counts as confident."""
 FRAME_SCORE = 2.0
 """Residual over the noise floor from which a frame counts as one that the effect acts in."""
+
+
+@dataclass(frozen=True)
+class Statistic:
+    """A number of some rows of the marks.
+
+    Attributes:
+        column: of the marks.
+        over: a number of the values that are there.
+        worst_effect: whether it is the smallest one over the scenes of one effect.
+    """
+
+    column: str
+    over: Callable[[Array], float]
+    worst_effect: bool = False
+
+    def __call__(self, rows: pd.DataFrame) -> float:
+        """The number; NaN where there is no value."""
+        if not self.worst_effect:
+            return self.over(_column(rows, self.column))
+        by_effect = [self.over(_column(group, self.column)) for _, group in rows.groupby("truth")]
+        return min((v for v in by_effect if not math.isnan(v)), default=math.nan)
+
+    def count(self, rows: pd.DataFrame) -> int:
+        """Number of rows that have a value."""
+        return len(_column(rows, self.column))
 
 
 @dataclass(frozen=True)
@@ -41,7 +69,7 @@ class Measure:
     name: str
     aim: str
     select: Callable[[pd.DataFrame], pd.DataFrame]
-    value: Callable[[pd.DataFrame], float]
+    value: Statistic
     at_least: float | None = None
     at_most: float | None = None
     naive: bool = False
@@ -78,6 +106,7 @@ def mark(
         "kind": _kind(label),
         "truth": "+".join(truth),
         "level": "+".join(label.get("levels", [])),
+        "true_stage": label["stage"],
         "gap_percent": float(label["magnitude"]["mean_last_third"]),
         "size": _size(label),
     }
@@ -85,15 +114,17 @@ def mark(
         return row | {"answer": "no diagnosis", "stage_right": False, "top1": False, "set_right": False}
     verdict = report.verdict
     row |= _marks(verdict, truth, label["stage_accept"])
+    row["candidates"] = ", ".join(verdict.candidates)
+    row["also"] = verdict.also or ""
     row["naive"] = report.protocol.naive
     naive = _naive_verdict(report.protocol.naive)
     row |= {f"naive_{k}": v for k, v in _marks(naive, truth, label["stage_accept"]).items()}
     if row["kind"] == "single":
         row["identifiable"] = _is_identifiable(report, truth[0], alias)
-        row |= _magnitude(report, label, truth[0])
+        row |= _magnitude(report, sealed, truth[0])
         row |= _shrink(report, verdict, truth[0])
         row["detection_limit"] = report.alias.detection_limits.get(truth[0])
-    row |= _localisation(report, label, folder)
+    row |= _localisation(report, sealed, folder)
     return row
 
 
@@ -109,17 +140,24 @@ def measures() -> tuple[Measure, ...]:
     def unclear(marks: pd.DataFrame) -> pd.DataFrame:
         return marks[(marks["kind"] == "single") & (marks["identifiable"] == False)]  # noqa: E712
 
-    def mean(column: str) -> Callable[[pd.DataFrame], float]:
-        return lambda rows: _mean(_column(rows, column))
+    def mean(column: str) -> Statistic:
+        return Statistic(column, _mean)
 
-    def median(column: str) -> Callable[[pd.DataFrame], float]:
-        return lambda rows: _median(_column(rows, column))
+    def median(column: str) -> Statistic:
+        return Statistic(column, _median)
 
     single = kinds("single")
     return (
         Measure("stage accuracy", "≥ 0.97", kinds("single", "null"), mean("stage_right"), 0.97, naive=True),
         Measure("top-1 effect, identifiable singles", "≥ 0.90", clear, mean("top1"), 0.90, naive=True),
-        Measure("top-1, worst effect", "≥ 0.70", clear, _worst_effect("top1"), 0.70, naive=True),
+        Measure(
+            "top-1, worst effect",
+            "≥ 0.70",
+            clear,
+            Statistic("top1", _mean, worst_effect=True),
+            0.70,
+            naive=True,
+        ),
         Measure("90 % set: coverage", "≥ 0.90", kinds("single", "null"), mean("set_right"), 0.90),
         Measure(
             "90 % set: mean size",
@@ -193,7 +231,7 @@ def measures() -> tuple[Measure, ...]:
 
 
 def measured(marks: pd.DataFrame, *, resamplings: int, seed: int) -> pd.DataFrame:
-    """The table: measure, aim, value, 95 % interval over scenes, number of scenes, aim reached, naive.
+    """The table: measure, aim, value, 95 % interval over scenes, scenes that count in it, aim reached, naive.
 
     Args:
         marks: one row per scene, see mark.
@@ -216,7 +254,7 @@ def measured(marks: pd.DataFrame, *, resamplings: int, seed: int) -> pd.DataFram
                 "value": value,
                 "low": low,
                 "high": high,
-                "scenes": len(chosen),
+                "scenes": measure.value.count(chosen),
                 "reached": measure.reached(value),
                 "naive": other,
             }
@@ -310,11 +348,11 @@ def _kind(label: Mapping[str, Any]) -> str:
 
 
 def _size(label: Mapping[str, Any]) -> float:
-    """Of a single effect, in what its strength is named in; the gap otherwise."""
+    """Of a single effect, in what its strength is named in, NaN where it is not; the gap otherwise."""
     alone = label["magnitude"].get("alone", {})
     truth = _truth(label)
-    if len(truth) == 1 and truth[0] in alone:
-        return float(alone[truth[0]]["value"])
+    if _kind(label) == "single":
+        return float(alone.get(truth[0], {}).get("value", math.nan))
     return float(label["magnitude"]["mean_last_third"])
 
 
@@ -352,44 +390,49 @@ def _is_identifiable(report: GapReport, truth: str, alias: float) -> bool:
     return all(set(group) == {truth} for group in plain.classes(alias) if truth in group)
 
 
-def _magnitude(report: GapReport, label: Mapping[str, Any], truth: str) -> dict[str, Any]:
+def _magnitude(report: GapReport, sealed: Sealed, truth: str) -> dict[str, Any]:
     """Relative error and coverage of the true effect's magnitude, where both sides have one."""
     effect = report.effect(truth)
     if effect is None:
         return {}
-    comparable = label.get("comparable", {}).get(truth, {})
-    for name, value in comparable.items():
-        estimate = effect.parameters.get(name)
-        if estimate is not None and value:
-            return _error_of(estimate.estimate, estimate.low, estimate.high, value)
-    alone = label["magnitude"].get("alone", {}).get(truth, {})
-    if effect.gap is not None and alone.get("measure") == "motion" and alone["value"] > 0:
-        return _error_of(effect.gap.estimate, effect.gap.low, effect.gap.high, alone["value"])
-    return {}
-
-
-def _error_of(estimate: float, low: float, high: float, truth: float) -> dict[str, Any]:
-    return {"magnitude_error": abs(estimate - truth) / abs(truth), "magnitude_covered": low <= truth <= high}
+    found = comparisons(effect, sealed)
+    if not found:
+        return {}
+    cells = [
+        f"{c.name}: {c.truth:.3g}{'' if c.unit == '1' else f' {c.unit}'}, "
+        f"{c.estimate:.3g} [{c.low:.3g}, {c.high:.3g}]"
+        for c in found
+    ]
+    return {
+        "magnitude": "; ".join(cells),
+        "magnitude_error": relative_error(found),
+        "magnitude_covered": coverage(found),
+    }
 
 
 def _shrink(report: GapReport, verdict: Verdict, truth: str) -> dict[str, Any]:
-    """Held-out error with the answer, the true effect, the runner-up and the best placebo."""
-    true = report.effect(truth)
-    if true is None or true.shrink is None:
-        return {}
-    base = true.shrink.base
-    oracle = true.shrink.with_effect if true.shrink.oracle is None else true.shrink.oracle
-    marks: dict[str, Any] = {"shrink_true": true.shrink.estimate}
-    others = [e.shrink.estimate for e in report.effects if e.name != truth and e.shrink is not None]
+    """Held-out error with the answer, the true effect, the runner-up and the best placebo.
+
+    The runner-up is the best wrong candidate. Where the true effect was not among those compared, only what
+    stands beside it is known.
+    """
+    compared = [e for e in report.effects if e.shrink is not None]
+    marks: dict[str, Any] = {}
+    others = {e.name: e.shrink.estimate for e in compared if e.shrink is not None and e.name != truth}
     if others:
-        marks["shrink_runner_up"] = max(others)
+        marks["runner_up"] = max(others, key=lambda name: others[name])
+        marks["shrink_runner_up"] = others[marks["runner_up"]]
     placebos = [
-        e.shrink.best_placebo
-        for e in report.effects
-        if e.shrink is not None and e.shrink.best_placebo is not None
+        e.shrink.best_placebo for e in compared if e.shrink is not None and e.shrink.best_placebo is not None
     ]
     if placebos:
         marks["shrink_placebo"] = max(placebos)
+    true = report.effect(truth)
+    if true is None or true.shrink is None:
+        return marks
+    base = true.shrink.base
+    oracle = true.shrink.with_effect if true.shrink.oracle is None else true.shrink.oracle
+    marks["shrink_true"] = true.shrink.estimate
     # Where no effect could have helped, no share of that help means anything.
     if base - oracle > 1e-3 * base:
         share = base / (base - oracle)
@@ -402,14 +445,15 @@ def _shrink(report: GapReport, verdict: Verdict, truth: str) -> dict[str, Any]:
     return marks
 
 
-def _localisation(report: GapReport, label: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+def _localisation(report: GapReport, sealed: Sealed, folder: Path) -> dict[str, Any]:
     """Marks of where and when, for effects that do not act everywhere and always."""
     marks: dict[str, Any] = {}
-    where = label.get("localisation", {})
+    where = sealed.label.get("localisation", {})
     vertices, frames = where.get("vertices"), where.get("frames")
     path = report.where.vertices
     if vertices and path is not None and (folder / path).is_file():
-        score = np.load(folder / path).astype(np.float64).ravel()
+        # The label counts on the scene's grid, the score is on that of the diagnosis' model.
+        score = _on_grid(np.load(folder / path).astype(np.float64), sealed.vertices.shape[1:3]).ravel()
         if max(vertices) < len(score):
             truth = np.zeros(len(score), bool)
             truth[vertices] = True
@@ -420,6 +464,15 @@ def _localisation(report: GapReport, label: Mapping[str, Any], folder: Path) -> 
         truth[frames] = True
         marks["frames_f1"] = f1(truth, scores >= FRAME_SCORE)
     return marks
+
+
+def _on_grid(score: Array, grid: tuple[int, ...]) -> Array:
+    """Scores (h, w) at the vertices of another grid over the same cloth, linearly interpolated."""
+    if score.shape == grid:
+        return score
+    at = [np.linspace(0, n - 1, m) for n, m in zip(score.shape, grid, strict=True)]
+    found: Array = map_coordinates(score, np.stack(np.meshgrid(*at, indexing="ij")), order=1)
+    return found
 
 
 def _interval(
@@ -434,18 +487,9 @@ def _interval(
     values = np.array([v for v in found if not math.isnan(v)])
     low, high = (float(np.quantile(values, q)) for q in (0.025, 0.975))
     if measure.proportion and low == high and value in (0.0, 1.0):
-        return wilson(value * len(rows), len(rows))
+        n = measure.value.count(rows)
+        return wilson(value * n, n)
     return low, high
-
-
-def _worst_effect(column: str) -> Callable[[pd.DataFrame], float]:
-    """Smallest mean over the scenes of one effect."""
-
-    def worst(rows: pd.DataFrame) -> float:
-        by_effect = [_mean(_column(group, column)) for _, group in rows.groupby("truth")]
-        return min((v for v in by_effect if not math.isnan(v)), default=math.nan)
-
-    return worst
 
 
 def _column(rows: pd.DataFrame, name: str) -> Array:

@@ -25,14 +25,15 @@ class Screening:
     Attributes:
         log_evidence: against the base model, by effect.
         unknown: the same for forces that no effect supplies.
-        discrepancy: size of the forces that the base model needs [m/s²].
+        discrepancy: sizes of the forces that the base model needs [m/s²]: those that leave the balance of
+            torques about the holders alone, and the others.
         base: log ratios of Y, S, B to their start values, and wind along two directions [m/s²], (5,).
         costs: of the base fit, one per pass.
     """
 
     log_evidence: Mapping[str, float]
     unknown: float
-    discrepancy: float
+    discrepancy: tuple[float, float]
     base: npt.NDArray[np.float64]
     costs: npt.NDArray[np.float64]
 
@@ -125,6 +126,11 @@ def _arrays(path: Path, keys: tuple[str, ...]) -> dict[str, npt.NDArray[np.float
         raise _unreadable(path, ", ".join(keys), error) from error
 
 
+def _pair(values: npt.NDArray[np.float64]) -> tuple[float, float]:
+    internal, external = values.reshape(-1)
+    return float(internal), float(external)
+
+
 def _screening(path: Path) -> Screening | None:
     found = _arrays(path, ("names", "log_evidence", "unknown", "discrepancy", "base", "costs"))
     if found is None:
@@ -133,7 +139,7 @@ def _screening(path: Path) -> Screening | None:
     return Screening(
         dict(zip(names, found["log_evidence"].tolist(), strict=True)),
         float(found["unknown"]),
-        float(found["discrepancy"]),
+        _pair(found["discrepancy"]),
         np.asarray(found["base"], np.float64),
         np.asarray(found["costs"], np.float64),
     )

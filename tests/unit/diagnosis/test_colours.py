@@ -1,15 +1,13 @@
-"""Light on turning surfaces and smear along the motion, from colours at known positions."""
+"""Light on turning surfaces, from colours at known positions."""
 
 from __future__ import annotations
 
 import numpy as np
-import pytest
-from scipy.ndimage import gaussian_filter, shift
 
-from toile.diagnosis.colours import Colours, brightness_evidence, exposure_evidence
+from toile.diagnosis.colours import Colours, brightness_evidence
 from toile.effects.catalogue import CATALOGUE
 
-F, P, N = 20, 64, 64
+F, P = 20, 64
 
 
 def turning(seed: int = 0) -> np.ndarray:
@@ -22,7 +20,7 @@ def turning(seed: int = 0) -> np.ndarray:
 
 
 def seen(brightness: np.ndarray, normals: np.ndarray) -> Colours:
-    return Colours(brightness, np.ones((F, P)), normals, np.zeros((F, N, N)), np.zeros((F, N, N, 2)))
+    return Colours(brightness, np.ones((F, P)), normals)
 
 
 def test_shading_explains_what_lambert_makes() -> None:
@@ -44,30 +42,3 @@ def test_noise_and_an_occluder_are_no_light() -> None:
         passing[f, (3 * f) % P : (3 * f) % P + 6] -= 1.0
     occluded = brightness_evidence(CATALOGUE["shading"](), seen(passing, normals))
     assert occluded.explained < 0.3
-
-
-@pytest.mark.parametrize("fraction", [0.0, 0.8])
-def test_smear_along_the_motion(fraction: float) -> None:
-    """A picture that moves by 4 px per frame, exposed for a part of it."""
-    rng = np.random.default_rng(0)
-    picture = gaussian_filter(rng.normal(size=(N + 60, N + 60)), 1.5)
-    j, i = np.meshgrid(np.arange(N), np.arange(N))
-    images, pixels = [], []
-    for f in range(F):
-        speed = 4 * np.sin(0.5 * f)
-        place = 8 * (1 - np.cos(0.5 * f))
-        exposures = [
-            shift(picture, (0, -t), order=3)[30 : 30 + N, 30 : 30 + N]
-            for t in np.linspace(-0.5, 0.5, 9) * fraction * speed
-        ]
-        images.append(np.mean(exposures, 0) + rng.normal(0, 0.002, (N, N)))
-        pixels.append(np.stack((j + place, i), -1).astype(float))
-    images[0] = picture[30 : 30 + N, 30 : 30 + N]
-    colours = Colours(np.zeros((F, P)), np.ones((F, P)), turning(), np.array(images), np.array(pixels))
-    found = exposure_evidence(CATALOGUE["motion_blur"](), colours)
-    if fraction:
-        assert found.log_evidence > 5
-        estimate = float(found.mean[0]) * float(CATALOGUE["motion_blur"]().scales[0])
-        assert estimate == pytest.approx(fraction, rel=0.3)
-    else:
-        assert found.log_evidence < 1

@@ -132,6 +132,8 @@ def test_table() -> None:
     assert top["low"] < 0.9 < top["high"]
     assert top["naive"] == 0.0
     assert table.loc["false alarms on nulls", "high"] > 0.3  # five nulls say little
+    assert table.loc["false alarms on nulls", "scenes"] == 5
+    assert table.loc["magnitude: median error", "scenes"] == 10
     assert table.loc["false alarms on nulls", "naive"] == 1.0
     assert np.isnan(table.loc["outside: abstains", "value"])
     assert confusion(marks).loc["air_drag", "gusts"] == 1
@@ -147,3 +149,36 @@ def test_scores() -> None:
     low, high = wilson(0, 10)
     assert low == 0.0
     assert 0.2 < high < 0.4
+
+
+def test_scores_on_another_grid_than_the_labels(tmp_path: Path) -> None:
+    """Vertices of a label count on the scene's grid, scores on that of the model."""
+    report = answer("air_drag")
+    report = replace(report, where=replace(report.where, vertices="scores.npy"))
+    np.save(tmp_path / "scores.npy", np.linspace(0, 1, 4)[:, None] * np.ones(3))
+    truth = label("air_drag")
+    truth["localisation"]["vertices"] = list(range(54, 63))  # the last row of 7 × 9: the highest scores
+    vertices = np.zeros((4, 7, 9, 3), np.float32)
+    row = mark("x", Sealed(truth, vertices, vertices), report, tmp_path, alias=0.9)
+    assert row["vertices_auprc"] == 1.0
+
+
+def test_only_scenes_with_a_mark_count() -> None:
+    other = label("gusts", stage="actuation", gap=2.0)  # its magnitude was not estimated
+    rows = [marked(label("air_drag"), answer("air_drag")), marked(other, answer("gusts", stage="actuation"))]
+    table = measured(pd.DataFrame(rows), resamplings=20, seed=0).set_index("measure")
+    assert table.loc["magnitude: median error", "scenes"] == 1
+    assert table.loc["top-1 effect, identifiable singles", "scenes"] == 2
+
+
+def test_size_is_missing_where_nothing_names_it() -> None:
+    optical = label("motion_blur", stage="appearance")
+    optical["magnitude"] = {"mean_last_third": 0.0, "alone": {}}
+    assert np.isnan(marked(optical, answer("motion_blur", stage="appearance"))["size"])
+
+
+def test_runner_up_and_placebo_without_the_true_effect() -> None:
+    row = marked(label("frame_rate"), answer("air_drag"))
+    assert "shrink_true" not in row
+    assert (row["runner_up"], row["shrink_runner_up"], row["shrink_placebo"]) == ("air_drag", 0.6, 0.12)
+    assert "improved" not in row

@@ -105,7 +105,9 @@ def made_up_arrays(positions: np.ndarray, n_used: int) -> DiagnosisArrays:
         gap[:n_used].mean(0),
         gap,
         positions.reshape(F, -1, 3),
-        Screening({"air_drag": 42.0, "gusts": -2.0}, 3.0, 0.4, np.zeros(5), np.array([900.0, 410.0, 395.0])),
+        Screening(
+            {"air_drag": 42.0, "gusts": -2.0}, 3.0, (0.4, 0.1), np.zeros(5), np.array([900.0, 410.0, 395.0])
+        ),
         CONFIG,
     )
 

@@ -286,7 +286,7 @@ def test_arrays_are_read_as_far_as_they_exist(report: GapReport, tmp_path: Path)
         names=np.array(["air_drag", "gusts"]),
         log_evidence=np.array([4.0, 1.0]),
         unknown=np.array(2.0),
-        discrepancy=np.array(0.4),
+        discrepancy=np.array([0.4, 0.1]),
         base=np.arange(5.0),
         costs=np.array([3.0, 2.0]),
     )

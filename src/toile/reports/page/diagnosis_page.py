@@ -344,7 +344,10 @@ class DiagnosisPage:
             "version": report.protocol.version,
         }
         if screening is not None:
-            facts["forces that the base model needs"] = f"{screening.discrepancy:.3g} m/s² per smooth mode"
+            internal, external = screening.discrepancy
+            facts["forces that the base model needs"] = (
+                f"{internal:.3g} m/s² per smooth mode, {external:.3g} m/s² where the balance of torques shows it"
+            )
             if len(screening.costs) > 1:
                 passes = f"{screening.costs[0]:.4g} to {screening.costs[-1]:.4g}"
                 facts["cost of the base fit"] = f"{passes} in {len(screening.costs) - 1} passes"

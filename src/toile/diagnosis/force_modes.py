@@ -1,0 +1,61 @@
+"""Modes of a missing force, parted into those that no law of the material can stand for and the rest.
+
+What the cloth does to itself has neither resultant nor torque, and what its holders do has none about the
+line through them. So whatever stretching, bending and damping are really like, the torque of gravity, wind
+and inertia about the line through two held corners must balance: a part of the missing force that does not
+leave that balance alone is external, and the rest may be internal.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# Directions in which the holders push less than this share of their strongest one count as free.
+_SLACK = 0.05
+
+
+def n_balanced(held: Array, size: float) -> int:
+    """How many resultants and torques the holders leave alone: 6 without any, 3, 1 for a line, else 0.
+
+    Args:
+        held: positions of the held vertices (n_held, 3) [m].
+        size: of the cloth [m].
+    """
+    return int(6 - (np.linalg.svd(_reactions(held, size), compute_uv=False) > _SLACK).sum())
+
+
+def external_first(fields: Array, masses: Array, positions: Array, held: Array, n: int) -> Array:
+    """Orthonormal combinations of force modes, the first n of which alone disturb the balance.
+
+    Args:
+        fields: forces per mass (K, N, 3), zero at held vertices.
+        masses: (N,) [kg].
+        positions: of the vertices (N, 3) [m].
+        held: positions of the held ones (n_held, 3) [m].
+        n: from n_balanced.
+
+    Returns:
+        (K, K), one combination per row.
+    """
+    size = float(np.linalg.norm(positions.max(0) - positions.min(0)))
+    about = held.mean(0) if len(held) else positions.mean(0)
+    forces = fields * masses[:, None]
+    torques = np.cross((positions - about) / size, forces).sum(1)
+    wrenches = np.concatenate((forces.sum(1), torques), 1)
+    left, _, _ = np.linalg.svd(_reactions(held, size))
+    disturbed = wrenches @ left[:, 6 - n :]
+    combinations, _, _ = np.linalg.svd(disturbed)
+    return np.asarray(combinations.T)
+
+
+def _reactions(held: Array, size: float) -> Array:
+    """Resultants and torques over the cloth's size (6, 3 n_held) of unit forces at the held vertices."""
+    if not len(held):
+        return np.zeros((6, 1))
+    arms = (held - held.mean(0)) / size
+    eye = np.broadcast_to(np.eye(3), (len(held), 3, 3))
+    torques = np.cross(arms[:, None], eye)
+    return np.asarray(np.concatenate((eye, torques), 2).reshape(-1, 6).T)
