@@ -116,6 +116,11 @@ blind: setup ## Make scenes with sealed labels, diagnose them, open the labels: 
 	$(BIN)/toile blind make $(BLIND_SET)
 	$(BIN)/toile blind run $(BLIND_SET)
 	$(BIN)/toile blind grade $(BLIND_SET)
+	$(if $(filter standard,$(BLIND)),$(BIN)/python benchmarks/blind_results.py $(BLIND_NAME))
+
+.PHONY: blind-results
+blind-results: setup ## Put a graded set (BLIND_NAME) into the documents: docs/results/blind_standard.md
+	$(BIN)/python benchmarks/blind_results.py $(BLIND_NAME)
 
 .PHONY: effects
 effects: setup ## Does every effect find its own numbers again? docs/results/effects.md

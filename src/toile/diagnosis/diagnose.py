@@ -107,6 +107,7 @@ def diagnose(
         positions, cached = _tracked_positions(reconstruction, recipe, used, folder, progress)
     if cached:
         times.from_cache("tracking")
+    times.write(folder / TIMES_FILE)
     progress("what the images say", 0.45)
     with times.stage("images"):
         points = point_settings(recipe)
