@@ -107,6 +107,10 @@ BLIND ?= standard
 BLIND_NAME ?= $(BLIND)
 BLIND_SET = blind=$(BLIND) name=$(BLIND_NAME) jobs=$(JOBS)
 
+.PHONY: r1-diagnosis
+r1-diagnosis: setup ## Diagnose R1, held-out frames against the depth camera: docs/results/r1_diagnosis.md (needs R1 in TOILE_DATA)
+	$(BIN)/python benchmarks/r1_diagnosis.py
+
 .PHONY: independent
 independent: setup ## Diagnose the scenes of the independent engine: docs/results/independent.md (needs them in TOILE_DATA)
 	$(BIN)/python benchmarks/independent.py

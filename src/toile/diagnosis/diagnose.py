@@ -41,6 +41,8 @@ TRACKED_FILE = "tracked.npz"
 VERTICES_FILE = "gap_vertices.npy"
 FRAMES_FILE = "gap_frames_vertices.npy"
 SCREENING_FILE = "screening.npz"
+HELD_OUT_FILE = "held_out.npz"
+"""Predicted positions of the held-out frames on the scene's grid, by what was in the model."""
 
 
 @dataclass(frozen=True)
@@ -152,7 +154,7 @@ def diagnose(
     ranked = [name for name in chances if name in findings]
     progress("held-out frames", 0.87)
     with times.stage("held-out frames"):
-        shrinks = held_out_shrinks(
+        held_out = held_out_shrinks(
             mechanics,
             [name for name in ranked if name in screened.findings][: settings.compared],
             findings,
@@ -166,6 +168,12 @@ def diagnose(
     with times.stage("maps"):
         maps = gap_maps(mechanics)
     times.write(folder / TIMES_FILE)
+    prolong = levels[-1][0].prolong
+    _write_arrays(
+        folder / HELD_OUT_FILE,
+        {"frames": np.array(held_out.frames, int)}
+        | {name: np.einsum("vn,fnc->fvc", prolong, x) for name, x in held_out.positions.items()},
+    )
     _write_array(folder / VERTICES_FILE, maps.vertices)
     _write_array(folder / FRAMES_FILE, maps.distances.astype(np.float32))
     _write_arrays(
@@ -183,7 +191,7 @@ def diagnose(
     )
     by_name = {effect.NAME: effect for effect in effects}
     return GapReport(
-        verdict_of(chances, evidence, calibration, shrinks),
+        verdict_of(chances, evidence, calibration, held_out.shrinks),
         Where(stage_shares(evidence, calibration), maps.frames, VERTICES_FILE, maps.regimes),
         tuple(
             EffectReport(
@@ -191,7 +199,7 @@ def diagnose(
                 STAGES[name].value,
                 chances[name],
                 estimates(findings[name], by_name[name]),
-                shrinks.get(name),
+                held_out.shrinks.get(name),
             )
             for name in ranked
         ),

@@ -30,6 +30,25 @@ _BLOCK = 2
 _RESAMPLINGS = 400
 
 
+@dataclass(frozen=True)
+class HeldOut:
+    """What was predicted of the frames that no fit has seen.
+
+    Attributes:
+        shrinks: by effect.
+        frames: that were predicted.
+        positions: on the model's grid (n, N, 3) [m], of BASE, PLACEBO (the best one) and the effects.
+    """
+
+    shrinks: dict[str, Shrink]
+    frames: tuple[int, ...]
+    positions: dict[str, Array]
+
+
+BASE = "base"
+PLACEBO = "placebo"
+
+
 def held_out_shrinks(
     mechanics: Mechanics,
     names: Sequence[str],
@@ -40,7 +59,7 @@ def held_out_shrinks(
     discrepancy: Discrepancy,
     n_placebos: int,
     seed: int,
-) -> dict[str, Shrink]:
+) -> HeldOut:
     """Open rollouts over the frames after the fitted ones, with and without effects.
 
     Stiffness, wind, starts and forces of the fitted frames are refitted with each effect; over the held-out
@@ -61,11 +80,14 @@ def held_out_shrinks(
     last = min(around.n_frames - 1, first + horizon)
     end = fit.windows[-1].end
     if last <= first or end is None:
-        return {}
+        return HeldOut({}, (), {})
     base = predict(mechanics.shooting, around, fit.base, (), end, first, last)
     if base is None:
-        return {}
-    placebo = best_placebo(mechanics, end, base, first, last, n_placebos, seed)
+        return HeldOut({}, (), {})
+    positions = {BASE: base.positions}
+    placebo, field = best_placebo(mechanics, end, base, first, last, n_placebos, seed)
+    if field is not None:
+        positions[PLACEBO] = field.positions
     found: dict[str, Shrink] = {}
     for name in names:
         refit = refit_with(mechanics, name, findings[name], discrepancy, last_only=True)
@@ -78,6 +100,7 @@ def held_out_shrinks(
         )
         if better is None:
             continue
+        positions[name] = better.positions
         total = float(1 - better.errors.mean() / base.errors.mean())
         low, high = _interval(base.errors, better.errors, seed)
         found[name] = Shrink(
@@ -90,13 +113,13 @@ def held_out_shrinks(
             max(high, total),
             placebo,
         )
-    return found
+    return HeldOut(found, tuple(range(first + 1, last + 1)), positions)
 
 
 def best_placebo(
     mechanics: Mechanics, end: State, base: Prediction, first: int, last: int, n: int, seed: int
-) -> float | None:
-    """Best shrink by the last discrepancy force carried forward, and by the same one on other vertices.
+) -> tuple[float | None, Prediction | None]:
+    """Best shrink and its prediction: the last discrepancy carried forward, or the same on other vertices.
 
     Args:
         mechanics: base fit.
@@ -111,6 +134,7 @@ def best_placebo(
     _, _, force = mechanics.shooting.local(window, window.white)
     rng = np.random.default_rng(seed)
     best: float | None = None
+    kept: Prediction | None = None
     for index in range(n):
         field = force[-1] if index == 0 else force[-1][rng.permutation(force.shape[1])]
         found = predict(
@@ -126,8 +150,9 @@ def best_placebo(
         )
         if found is not None:
             shrink = float(1 - found.errors.mean() / base.errors.mean())
-            best = shrink if best is None else max(best, shrink)
-    return best
+            if best is None or shrink > best:
+                best, kept = shrink, found
+    return best, kept
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,12 @@ from toile.effects.catalogue import STAGES
 from toile.evaluation.diagnosis_record import AMBIGUOUS, Shrink, Verdict
 
 
+def is_clear(found: Mapping[str, float]) -> bool:
+    """Whether the most probable hypothesis is the answer: at least as likely as not, and far ahead."""
+    first, second = (*sorted(found.values(), reverse=True), 0.0)[:2]
+    return first >= _LIKELY and first >= _AHEAD * second
+
+
 def verdict_of(
     found: Mapping[str, float],
     evidence: Mapping[str, float],
@@ -21,7 +27,8 @@ def verdict_of(
     candidates = confidence_set(found)
     first = candidates[0]
     also = None
-    if len(candidates) == 1 and first != NONE:
+    clear = is_clear(found)
+    if clear and first != NONE:
         # Another stage leaves a trace of its own: both act. What is unknown is missing in the motion.
         own = STAGES.get(first, Stage.MECHANICS)
         others = {
@@ -30,7 +37,7 @@ def verdict_of(
         strongest = max(others, key=lambda name: others[name], default=None)
         if strongest is not None and others[strongest] > 2 * calibration.threshold:
             also = strongest
-    if len(candidates) > 1:
+    if not clear:
         stages = {STAGES[c].value for c in candidates if c in STAGES}
         stage = stages.pop() if len(stages) == 1 else UNKNOWN
         listed = ", ".join(candidates)
@@ -61,3 +68,7 @@ def verdict_of(
         s = shrinks[first]
         reason += f" Held-out error goes from {s.base:.1f} to {s.with_effect:.1f} mm."
     return Verdict(first, candidates, STAGES[first].value, found[first], reason, "", also)
+
+
+_LIKELY = 0.5
+_AHEAD = 3.0

@@ -79,17 +79,21 @@ def certainty(report: GapReport) -> str:
     verdict = report.verdict
     probability = percent(verdict.probability)
     stage = f"It acts in the {verdict.stage} stage." if verdict.stage in STAGES else ""
+    others = [plain_name(c) for c in verdict.candidates if c != verdict.effect]
+    excluded = f" Not excluded: {listed(others, 'and')}." if others else ""
     if verdict.effect == NONE:
-        return f"Probability {probability}: nothing that the catalogue or a free force could add is needed."
+        text = f"Probability {probability}: nothing that the catalogue or a free force could add is needed."
+        return text + excluded
     if verdict.effect == UNKNOWN:
-        return f"Probability {probability}: forces are missing, and no effect of the catalogue supplies them."
+        text = f"Probability {probability}: forces are missing, and no effect of the catalogue supplies them."
+        return text + excluded
     if verdict.effect == AMBIGUOUS:
         found = {effect.name: effect.probability for effect in report.effects}
         each = [f"{plain_name(c)} {percent(found[c])}" for c in verdict.candidates if c in found]
         text = f"Together they hold {probability} of the probability"
         text += f": {', '.join(each)}." if each else "."
         return f"{text} Every effect among them acts in the {verdict.stage} stage." if stage else text
-    return f"Probability {probability}. {stage}".strip()
+    return f"Probability {probability}. {stage}".strip() + excluded
 
 
 def shrinkage(shrink: Shrink) -> str:

@@ -57,3 +57,13 @@ def test_a_second_stage_with_a_trace_of_its_own_is_named_too() -> None:
     answer = verdict({"air_drag": 40.0, "mask_bias": 25.0})
     assert (answer.effect, answer.also) == ("air_drag", "mask_bias")
     assert verdict({"air_drag": 40.0, "mask_bias": 5.0}).also is None
+
+
+def test_what_is_far_ahead_is_the_answer_though_the_set_holds_more() -> None:
+    found = {NONE: 0.7, "gusts": 0.15, "air_drag": 0.1, "shading": 0.05}
+    answer = verdict_of(found, {}, CALIBRATION, {})
+    assert answer.effect == NONE
+    assert answer.candidates == (NONE, "gusts", "air_drag")
+    assert answer.probability == 0.7
+    for close in ({NONE: 0.55, "gusts": 0.45}, {NONE: 0.4, "gusts": 0.1, "air_drag": 0.1}):
+        assert verdict_of(close, {}, CALIBRATION, {}).effect == AMBIGUOUS

@@ -10,7 +10,6 @@ from scipy.stats import multivariate_normal
 
 from toile.diagnosis.evidence import DISCREPANCIES, Discrepancy, Evidence, WindowSystem
 
-
 INTERNAL = np.array([False, False, False, True, False])
 EXTERNAL = np.array([False, False, False, False, True])
 SIZE = Discrepancy(0.4, 0.1)

@@ -22,7 +22,7 @@ def test_three_corners_leave_nothing_free() -> None:
 
 def modes(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
-    positions = rng.uniform(-0.3, 0.3, (40, 3)) + [0.25, 0.3, 1.0]
+    positions = rng.uniform(-0.3, 0.3, (40, 3)) + np.array([0.25, 0.3, 1.0])
     positions[:2] = LINE
     fields = rng.normal(size=(12, 40, 3))
     fields[:, :2] = 0

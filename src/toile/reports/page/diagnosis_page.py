@@ -346,7 +346,7 @@ class DiagnosisPage:
         if screening is not None:
             internal, external = screening.discrepancy
             facts["forces that the base model needs"] = (
-                f"{internal:.3g} m/s² per smooth mode, {external:.3g} m/s² where the balance of torques shows it"
+                f"{internal:.3g} m/s² per smooth mode, {external:.3g} m/s² where the torques show it"
             )
             if len(screening.costs) > 1:
                 passes = f"{screening.costs[0]:.4g} to {screening.costs[-1]:.4g}"
