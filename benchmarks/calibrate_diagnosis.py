@@ -19,10 +19,11 @@ from pathlib import Path
 import numpy as np
 
 from toile.atomic_file import write_text
-from toile.diagnosis.decision import NONE, UNKNOWN, Calibration, probabilities
+from toile.diagnosis.decision import NONE, UNKNOWN, Calibration, Weights, probabilities
 from toile.diagnosis.diagnose import SCREENING_FILE
+from toile.diagnosis.effect_columns import FORCES
 from toile.effects.base import Stage
-from toile.effects.catalogue import STAGES
+from toile.effects.catalogue import CATALOGUE, STAGES
 
 MOVING = (Stage.MECHANICS, Stage.ACTUATION)
 KINDS = (MOVING, (Stage.CAMERA, Stage.OBSERVATION), (Stage.APPEARANCE,))
@@ -48,7 +49,15 @@ class Case:
 def read_case(run: Path, labels: dict[str, str]) -> Case:
     """One run with its label."""
     with np.load(run / SCREENING_FILE) as stored:
-        evidence = dict(zip(stored["names"].tolist(), stored["log_evidence"].tolist(), strict=True))
+        weights = Weights()
+        evidence = {}
+        # From what was measured, so that runs with other weights serve as well.
+        for name, hindsight, foretold in zip(
+            stored["names"].tolist(), stored["screening"], stored["foretold"], strict=True
+        ):
+            moves = isinstance(CATALOGUE[name](), FORCES)
+            gain = 0.0 if np.isnan(foretold) else float(foretold)
+            evidence[name] = weights.combined(float(hindsight), gain) if moves else float(hindsight)
         evidence[UNKNOWN] = float(stored["unknown"])
     label = labels[run.name]
     truth = label if label in STAGES or label == NONE else UNKNOWN

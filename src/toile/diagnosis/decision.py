@@ -14,6 +14,28 @@ UNKNOWN = "unknown"
 
 
 @dataclass(frozen=True)
+class Weights:
+    """What hindsight and foresight count for, with effects that move the cloth.
+
+    Attributes:
+        hindsight: share of the log evidence from fitted windows that counts.
+        most: log evidence beyond which more says nothing: it comes from an error that the effect takes up.
+        foresight: log evidence for each logarithm by which windows are foretold better.
+        farthest: logarithm beyond which better says nothing.
+    """
+
+    hindsight: float = 0.3
+    most: float = 20.0
+    foresight: float = 10.0
+    farthest: float = 1.0
+
+    def combined(self, evidence: float, gain: float) -> float:
+        """Log evidence that counts."""
+        foreseen = float(np.clip(gain, -self.farthest, self.farthest))
+        return self.hindsight * min(evidence, self.most) + self.foresight * foreseen
+
+
+@dataclass(frozen=True)
 class Calibration:
     """What scenes without an effect, and with known ones, say about the evidence.
 

@@ -15,10 +15,11 @@ from toile.atomic_file import written_atomically
 from toile.diagnosis.aliases import alias_of
 from toile.diagnosis.border import BorderFit, border, border_evidence
 from toile.diagnosis.colours import ColourFit, brightness_evidence, colours
-from toile.diagnosis.decision import UNKNOWN, Calibration, probabilities
+from toile.diagnosis.decision import UNKNOWN, Calibration, Weights, probabilities
 from toile.diagnosis.evidence import Discrepancy
 from toile.diagnosis.findings import Finding, estimates, finding, mechanical_findings, naive_answer
 from toile.diagnosis.gap_maps import gap_maps, stage_shares
+from toile.diagnosis.grip import SlipFit, slip_evidence
 from toile.diagnosis.mechanics import analyse_mechanics
 from toile.diagnosis.model_grid import model_grids
 from toile.diagnosis.sharpness import ExposureFit, exposure_evidence, smear
@@ -27,6 +28,7 @@ from toile.diagnosis.shrinkage import held_out_shrinks, prediction_gains
 from toile.diagnosis.stage_times import TIMES_FILE, StageTimes
 from toile.diagnosis.tracked import point_settings, track, tracked_motion
 from toile.diagnosis.verdict import verdict_of
+from toile.effects.anchor_slip import AnchorSlip
 from toile.effects.base import BrightnessEffect, CameraEffect, Effect, ExposureEffect, MaskEffect
 from toile.effects.catalogue import STAGES
 from toile.evaluation.diagnosis_record import EffectReport, GapReport, Protocol, Where
@@ -57,8 +59,7 @@ class DiagnosisSettings:
         longest_substep: of the base model [s].
         usual_discrepancy: that a right model still needs; beyond it something is missing.
         foretold: effects whose prediction of fitted windows from the ones before is measured.
-        hindsight: share of the evidence from fitted windows that counts.
-        foresight: log evidence for each logarithm by which that prediction is better.
+        weights: what evidence from fitted windows and that prediction count for.
         compared: effects whose prediction of held-out frames is measured.
         placebos: force fields without meaning that are fitted and predicted beside them.
         seed: of everything random.
@@ -71,8 +72,7 @@ class DiagnosisSettings:
     longest_substep: float = 0.01
     usual_discrepancy: Discrepancy = field(default_factory=lambda: Discrepancy(1.6, 0.1))
     foretold: int = 6
-    hindsight: float = 0.3
-    foresight: float = 30.0
+    weights: Weights = field(default_factory=Weights)
     compared: int = 3
     placebos: int = 4
     seed: int = 0
@@ -149,7 +149,7 @@ def diagnose(
         gains = prediction_gains(mechanics, moving[: settings.foretold], findings, settings.usual_discrepancy)
     evidence = {name: found.log_evidence for name, found in findings.items()}
     for name, found in screened.findings.items():
-        evidence[name] = settings.hindsight * found.log_evidence + settings.foresight * gains.get(name, 0.0)
+        evidence[name] = settings.weights.combined(found.log_evidence, gains.get(name, 0.0))
     chances = probabilities({**evidence, UNKNOWN: screened.unknown}, calibration)
     ranked = [name for name in chances if name in findings]
     progress("held-out frames", 0.87)
@@ -217,19 +217,23 @@ def diagnose(
 def _still_findings(
     reconstruction: Reconstruction, positions: Array, effects: Sequence[Effect]
 ) -> dict[str, Finding]:
-    """Findings from the outline of frame 0, from brightness and from sharpness."""
+    """Findings from the outline of frame 0, brightness, sharpness and the paths of the held vertices."""
     scene = reconstruction.scene
     outline = border(scene)
     seen = colours(reconstruction, positions)
     findings = {}
     for effect in effects:
-        fit: BorderFit | ColourFit | ExposureFit
+        fit: BorderFit | ColourFit | ExposureFit | SlipFit
         if isinstance(effect, CameraEffect | MaskEffect):
             fit = border_evidence(effect, scene, outline)
         elif isinstance(effect, BrightnessEffect):
             fit = brightness_evidence(effect, seen)
         elif isinstance(effect, ExposureEffect):
             fit = exposure_evidence(effect, smear(reconstruction, positions))
+        elif isinstance(effect, AnchorSlip):
+            held = list(scene.held_vertices)
+            pull = positions[0].mean(0) - positions[0][held]
+            fit = slip_evidence(effect, positions[:, held], scene.fps, pull)
         else:
             continue
         findings[effect.NAME] = finding(effect, fit.log_evidence, fit.mean, fit.covariance)
