@@ -22,6 +22,7 @@ from toile.diagnosis.gap_maps import gap_maps, stage_shares
 from toile.diagnosis.grip import SlipFit, slip_evidence
 from toile.diagnosis.mechanics import analyse_mechanics
 from toile.diagnosis.model_grid import model_grids
+from toile.diagnosis.numerics import time_step_error
 from toile.diagnosis.sharpness import ExposureFit, exposure_evidence, smear
 from toile.diagnosis.shooting import ShootingSettings
 from toile.diagnosis.shrinkage import held_out_shrinks, prediction_gains
@@ -167,6 +168,9 @@ def diagnose(
     progress("maps", 0.97)
     with times.stage("maps"):
         maps = gap_maps(mechanics)
+    with times.stage("numerics"):
+        step_error = time_step_error(mechanics.shooting, mechanics.fit)
+    numerics = min(1.0, step_error / max(maps.mean, 1e-9))
     times.write(folder / TIMES_FILE)
     prolong = levels[-1][0].prolong
     _write_arrays(
@@ -186,13 +190,14 @@ def diagnose(
             "unknown": np.array(screened.unknown),
             "discrepancy": np.array(screened.discrepancy),  # internal, external
             "base": mechanics.fit.values,
+            "time_step_error": np.array(step_error),
             "costs": np.array(mechanics.fit.history),
         },
     )
     by_name = {effect.NAME: effect for effect in effects}
     return GapReport(
         verdict_of(chances, evidence, calibration, held_out.shrinks),
-        Where(stage_shares(evidence, calibration), maps.frames, VERTICES_FILE, maps.regimes),
+        Where(stage_shares(evidence, calibration, numerics), maps.frames, VERTICES_FILE, maps.regimes),
         tuple(
             EffectReport(
                 name,

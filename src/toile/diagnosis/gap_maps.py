@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from toile.diagnosis.decision import Calibration
 from toile.diagnosis.mechanics import Mechanics
+from toile.effects.base import Stage
 from toile.effects.catalogue import STAGES
 
 Array = NDArray[np.float64]
@@ -33,6 +34,11 @@ class GapMaps:
     def floor(self) -> float:
         """Median distance [m]."""
         return float(np.median(self.distances[self.compared])) if self.compared.any() else 0.0
+
+    @property
+    def mean(self) -> float:
+        """Mean distance [m]."""
+        return float(self.distances[self.compared].mean()) if self.compared.any() else 0.0
 
     @property
     def vertices(self) -> Array:
@@ -72,12 +78,25 @@ def gap_maps(mechanics: Mechanics) -> GapMaps:
     return GapMaps(away.reshape(-1, *shooting.grid), compared, regimes)
 
 
-def stage_shares(evidence: Mapping[str, float], calibration: Calibration) -> dict[str, float]:
-    """Share of every stage in the evidence against the base model: that of its strongest effect."""
+def stage_shares(
+    evidence: Mapping[str, float], calibration: Calibration, numerics: float
+) -> dict[str, float]:
+    """Share of every stage in what separates the base model from the clip.
+
+    Numerics come first, as a share of the gap in metres; what they leave is shared out by the evidence of each
+    stage's strongest effect.
+
+    Args:
+        evidence: log evidence by effect.
+        calibration: see Calibration.
+        numerics: what a shorter time step changes over the gap, in [0, 1].
+    """
     stages: dict[str, float] = {}
     for name, value in evidence.items():
         stage = STAGES[name].value
         score = max(calibration.score(name, value), 0.0)
         stages[stage] = max(stages.get(stage, 0.0), score)
     total = sum(stages.values())
-    return {stage: value / total if total > 0 else 0.0 for stage, value in stages.items()}
+    rest = 1 - numerics
+    shares = {stage: rest * value / total if total > 0 else 0.0 for stage, value in stages.items()}
+    return {Stage.NUMERICS.value: numerics, **shares}

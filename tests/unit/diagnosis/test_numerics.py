@@ -1,0 +1,56 @@
+"""The time step's own error."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from toile.cloth.cloth import grid_cloth
+from toile.cloth.state import State
+from toile.diagnosis.base_fit import BaseFit
+from toile.diagnosis.numerics import time_step_error
+from toile.diagnosis.shooting import Shooting, ShootingSettings, WindowMotion
+from toile.diagnosis.tracked import Tracked
+from toile.simulators.implicit.integrators import BDF2
+from toile.simulators.implicit.newton import NewtonSettings
+from toile.simulators.implicit.simulator import ImplicitSimulator
+
+GRID = (6, 6)
+FRAMES = 7
+
+
+def error(substeps: int) -> float:
+    """Of a cloth that swings about its held corners."""
+    cloth = grid_cloth(GRID, (0.3, 0.3), 0.15, (0, 30))
+    i, j = torch.meshgrid(torch.arange(6), torch.arange(6), indexing="ij")
+    x = (
+        torch.stack((i * 0.06, j * 0.06 * np.cos(0.4), 1 + j * 0.06 * np.sin(0.4)), -1)
+        .reshape(1, -1, 3)
+        .double()
+    )
+    n = 3 * x.shape[1]
+    positions = np.repeat(x.numpy(), FRAMES, 0)
+    tracked = Tracked(positions, [np.zeros((n, n), np.float32)] * FRAMES, np.zeros_like(positions), positions)
+    simulator = ImplicitSimulator(cloth, 0.04 / substeps, BDF2(), NewtonSettings(1e-8))
+    horizontal = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    gravity = np.array([0.0, 9.81, 0.0])
+    anchors = positions[:, cloth.held.numpy()]
+    shooting = Shooting(
+        simulator, substeps, gravity, horizontal, GRID, anchors, tracked, ShootingSettings(modes=2)
+    )
+    stiffness = np.array([400.0, 1e-2, 1e-4])
+    state = State.start(x, torch.zeros_like(x), simulator.time_step, simulator.n_past)
+    white = np.zeros(shooting.layout(FRAMES - 1)[2])
+    fit = BaseFit([], stiffness, np.zeros(5), np.eye(5), 0.0, ())
+    window = shooting.simulate(WindowMotion(0, FRAMES - 1, state, white), white, fit.base)
+    fit.windows.append(window)
+    assert window.converged
+    return time_step_error(shooting, fit)
+
+
+def test_falls_with_the_step() -> None:
+    """By more than the step does."""
+    coarse, middle, fine = (error(n) for n in (4, 16, 64))
+    assert coarse > 1e-4
+    assert coarse / middle > 5
+    assert middle / fine > 5
