@@ -83,8 +83,8 @@ def stage_shares(
 ) -> dict[str, float]:
     """Share of every stage in what separates the base model from the clip.
 
-    Numerics come first, as a share of the gap in metres; what they leave is shared out by the evidence of each
-    stage's strongest effect.
+    Numerics come first, as a share of the gap in metres; what they leave is shared out by the evidence of
+    each stage's strongest effect.
 
     Args:
         evidence: log evidence by effect.

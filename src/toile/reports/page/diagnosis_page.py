@@ -451,8 +451,8 @@ def _sentence(text: str) -> str:
 
 
 _LADDER_NOTE = (
-    "From forces to pixels. Numerics: what a shorter time step changes, over the gap. The share of another stage "
-    "is that of its strongest effect in the evidence for a gap; "
+    "From forces to pixels. Numerics: what a shorter time step changes, over the gap. The share of another "
+    "stage is that of its strongest effect in the evidence for a gap; "
     "a hatched one was not measured."
 )
 _HELD_OUT_NOTE = (
