@@ -62,8 +62,12 @@ class Calibration:
         return Calibration(**values)
 
     def score(self, name: str, log_evidence: float) -> float:
-        """Log evidence in deviations above what is usual without the effect."""
-        usual = self.usual.get(name, 0.0)
+        """Log evidence in deviations above what is usual without the effect.
+
+        What is usually against an effect does not speak for it where it is missing: a clip that says nothing
+        scores 0.
+        """
+        usual = max(self.usual.get(name, 0.0), 0.0)
         return (log_evidence - usual) / max(self.spread.get(name, 1.0), 1.0)
 
 

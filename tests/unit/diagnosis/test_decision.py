@@ -67,3 +67,10 @@ def test_what_is_far_ahead_is_the_answer_though_the_set_holds_more() -> None:
     assert answer.probability == 0.7
     for close in ({NONE: 0.55, "gusts": 0.45}, {NONE: 0.4, "gusts": 0.1, "air_drag": 0.1}):
         assert verdict_of(close, {}, CALIBRATION, {}).effect == AMBIGUOUS
+
+
+def test_a_clip_that_says_nothing_speaks_for_nothing() -> None:
+    """Though on other clips the evidence is against the effect."""
+    calibration = Calibration({"motion_blur": -8.0}, {}, 1.0, 4.0, 6.0, "test")
+    assert calibration.score("motion_blur", 0.0) == 0.0
+    assert next(iter(probabilities({"motion_blur": 0.0}, calibration))) == NONE
