@@ -20,9 +20,6 @@ import chromium
 from PIL import Image
 from tensorboard import program
 
-from toile.generation.reality.making import RealitySettings, development_scene
-from toile.scenes.native import write_native
-
 ROOT = Path(__file__).resolve().parents[2]
 HERE = Path(__file__).resolve().parent
 RUNS = ROOT / "outputs" / "screenshots"
@@ -135,23 +132,11 @@ def sweep(picture: Path) -> None:
     chromium.show((demo_sweep() / "report.html").as_uri(), picture, width=1400, height=1300)
 
 
-def diagnosis(picture: Path) -> None:
-    """The page of a diagnosis: a generated scene with air drag that the model lacks."""
-    scene, folder = RUNS / "with air drag", RUNS / "diagnosis of air drag"
-    if not (scene / "scene.json").is_file():
-        made = development_scene("air_drag", "medium", seed=1, setup=RealitySettings(templates=()))
-        write_native(made.scene, scene)
-    if not (folder / "index.html").is_file():
-        toile("diagnose", f"scene='{scene}'", f"hydra.run.dir='{folder}'")
-    chromium.show((folder / "index.html").as_uri(), picture, width=1400, height=1500)
-
-
 PICTURES: dict[str, Callable[[Path], None]] = {
     "report": report,
     "sweep": sweep,
     "dashboard": dashboard,
     "hparams": hparams,
-    "diagnosis": diagnosis,
 }
 """Functions that write a PNG, by the name of the picture."""
 
