@@ -72,10 +72,10 @@ class DiagnosisSettings:
     stiffness: tuple[float, float, float] = (850.0, 2.8, 5.3e-5)
     longest_substep: float = 0.01
     usual_discrepancy: Discrepancy = field(default_factory=lambda: Discrepancy(1.6, 0.1))
-    foretold: int = 6
+    foretold: int = 4
     weights: Weights = field(default_factory=Weights)
     compared: int = 3
-    placebos: int = 4
+    placebos: int = 3
     seed: int = 0
 
 

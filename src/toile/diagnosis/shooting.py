@@ -68,7 +68,7 @@ class ShootingSettings:
     trust: float = 0.01
     sweeps: int = 2
     iterations: int = 4
-    passes: int = 6
+    passes: int = 3
 
 
 @dataclass(frozen=True)
