@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from toile.diagnosis.continuity import Discrepancy
 from toile.diagnosis.decision import Calibration
-from toile.diagnosis.evidence import Discrepancy
 from toile.diagnosis.mechanics import Mechanics
 from toile.evaluation.diagnosis_record import Alias
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_solve
 
 from toile.cloth.state import State
+from toile.diagnosis.continuity import Discrepancy, Joined, Link, WindowSystem
 from toile.diagnosis.positive import positive_factor
 from toile.diagnosis.sensitivities import StepForces
 from toile.diagnosis.shooting import Base, Shooting, WindowMotion
@@ -115,36 +116,30 @@ def fit_base(
         windows, values = _sweep(shooting, start_positions, stiffness, values, windows, n_frames, report)
     # What was learnt on the way holds for the windows before as well.
     windows = [shooting.simulate(w, w.white, base_of(stiffness, values)) for w in windows]
-    cost = sum(shooting.cost(w) for w in windows)
+    cost = shooting.clip_cost(windows)
     history = [cost]
     covariance: Array = np.diag(deviation**2)
     for _ in range(shooting.settings.passes if passes is None else passes):
         base = base_of(stiffness, values)
-        H = np.asarray(np.diag(deviation**-2), np.float64)
-        right = np.asarray(-values / deviation**2, np.float64)
-        back = []
-        for w in windows:
-            G, g = shooting.normal(w, base, base_columns(shooting, base), nothing_seen, N_BASE)
-            L = local_scales(shooting, w.last - w.first)
-            factor = positive_factor(np.eye(len(L)) + L[:, None] * G[N_BASE:, N_BASE:] * L)
-            C = L[:, None] * G[N_BASE:, :N_BASE]
-            u = -(L * g[N_BASE:] + w.white)
-            H = H + np.asarray(G[:N_BASE, :N_BASE] - C.T @ cho_solve(factor, C), np.float64)
-            right = right + np.asarray(-g[:N_BASE] - C.T @ cho_solve(factor, u), np.float64)
-            back.append((factor, C, u))
+        columns = base_columns(shooting, base)
+        systems = window_systems(shooting, windows, base, [columns] * len(windows), nothing_seen, N_BASE)
+        joined = Joined(systems, fitted_discrepancy(shooting))
+        H = joined.reduced.matrix + np.diag(deviation**-2)
         covariance = np.asarray(np.linalg.inv(0.5 * (H + H.T)), np.float64)
-        step = covariance @ right
+        step = covariance @ (joined.reduced.right - values / deviation**2)
         # Logarithms of stiffness by at most a factor of two at once.
         step *= min(1.0, 0.7 / max(float(np.abs(step[:3]).max()), 1e-9))
         before = cost + 0.5 * float(((values / deviation) ** 2).sum())
         length = 1.0
         for _ in range(_SHORTER):
             trial = values + length * step
+            # Local unknowns go all the way to what suits the shared ones, not a share of it.
+            changes = joined.locals(length * step)
             moved = [
-                _stepped(shooting, w, cho_solve(f, u - C @ (length * step)), base_of(stiffness, trial))
-                for w, (f, C, u) in zip(windows, back, strict=True)
+                _stepped(shooting, w, d / local_scales(shooting, w.last - w.first), base_of(stiffness, trial))
+                for w, d in zip(windows, changes, strict=True)
             ]
-            trial_cost = sum(shooting.cost(w) for w in moved)
+            trial_cost = shooting.clip_cost(moved)
             after = trial_cost + 0.5 * float(((trial / deviation) ** 2).sum())
             if after < before and all(w.converged for w in moved):
                 break
@@ -159,20 +154,52 @@ def fit_base(
     return BaseFit(windows, stiffness, values, covariance, cost, tuple(history))
 
 
+def fitted_discrepancy(shooting: Shooting) -> Discrepancy:
+    """Deviations of the forces in the base fit."""
+    return Discrepancy(shooting.settings.force, shooting.settings.external)
+
+
+def window_systems(
+    shooting: Shooting,
+    windows: Sequence[WindowMotion],
+    base: Base,
+    shared: Sequence[Callable[[StepForces], Array]],
+    seen: Callable[[int, Array], Array],
+    n_shared: int,
+) -> list[WindowSystem]:
+    """Gauss-Newton systems of all windows; each start hangs on the end before it.
+
+    Args:
+        shooting: the problem.
+        windows: simulated.
+        base: with which they were.
+        shared: force columns of every window, see Shooting.normal.
+        seen: apparent displacements, see there.
+        n_shared: columns of both.
+    """
+    systems: list[WindowSystem] = []
+    end: Array | None = None
+    for k, window in enumerate(windows):
+        link = None
+        if end is not None:
+            link = Link(shooting.jump(windows[k - 1], window), shooting.jump_ratio(), end)
+        G, g, end = shooting.normal(window, base, shared[k], seen, n_shared)
+        n = window.last - window.first
+        external = shooting.external(n)
+        pushed = np.arange(len(external)) >= shooting.layout(n)[1]
+        systems.append(
+            WindowSystem(G, g, window.white, pushed & ~external, external, fitted_discrepancy(shooting), link)
+        )
+    return systems
+
+
 def _stepped(shooting: Shooting, window: WindowMotion, step: Array, base: Base) -> WindowMotion:
-    """A window moved along its own step as far as that helps: windows share the base, not the way there."""
-    before = shooting.cost(window)
-    best: WindowMotion | None = None
-    length = 1.0
-    for _ in range(_SHORTER):
+    """A window moved along its step, less far where the solver fails."""
+    for length in (1.0, 0.3):
         trial = shooting.simulate(window, window.white + length * step, base)
-        if best is None or not best.converged or shooting.cost(trial) < shooting.cost(best):
-            best = trial
-        if best.converged and shooting.cost(best) < before:
+        if trial.converged:
             break
-        length *= 0.3
-    assert best is not None
-    return best
+    return trial
 
 
 def _at_rest(shooting: Shooting, positions: Array) -> State:
@@ -218,7 +245,7 @@ def _sweep(
         information = np.zeros_like(prior)
         for _ in range(shooting.settings.iterations):
             base = base_of(stiffness, values)
-            G, g = shooting.normal(window, base, base_columns(shooting, base), nothing_seen, N_BASE)
+            G, g, _ = shooting.normal(window, base, base_columns(shooting, base), nothing_seen, N_BASE)
             L = np.concatenate((np.ones(N_BASE), scales))
             H = L[:, None] * G * L
             right = -L * g

@@ -15,8 +15,8 @@ from toile.atomic_file import written_atomically
 from toile.diagnosis.aliases import alias_of
 from toile.diagnosis.border import BorderFit, border, border_evidence
 from toile.diagnosis.colours import ColourFit, brightness_evidence, colours
+from toile.diagnosis.continuity import Discrepancy
 from toile.diagnosis.decision import UNKNOWN, Calibration, Weights, probabilities
-from toile.diagnosis.evidence import Discrepancy
 from toile.diagnosis.findings import Finding, estimates, finding, mechanical_findings, naive_answer
 from toile.diagnosis.gap_maps import gap_maps, stage_shares
 from toile.diagnosis.grip import SlipFit, slip_evidence
@@ -27,7 +27,7 @@ from toile.diagnosis.sharpness import ExposureFit, exposure_evidence, smear
 from toile.diagnosis.shooting import ShootingSettings
 from toile.diagnosis.shrinkage import held_out_shrinks, prediction_gains
 from toile.diagnosis.stage_times import TIMES_FILE, StageTimes
-from toile.diagnosis.tracked import point_settings, track, tracked_motion
+from toile.diagnosis.tracked import CoarseTracking, point_settings, track, tracked_motion
 from toile.diagnosis.verdict import verdict_of
 from toile.effects.anchor_slip import AnchorSlip
 from toile.effects.base import BrightnessEffect, CameraEffect, Effect, ExposureEffect, MaskEffect
@@ -55,6 +55,7 @@ class DiagnosisSettings:
     Attributes:
         sides: vertices along each side of the model's grids, coarse to fine; the scene's own at most.
         held_out: share of the frames at the end that nothing is fitted to.
+        coarse: the first pass of tracking.
         shooting: windows and priors.
         stiffness: start values Y [N/m], S per cell area [N/m] and B [N·m]: the same fabric on every grid.
         longest_substep: of the base model [s].
@@ -68,9 +69,10 @@ class DiagnosisSettings:
 
     sides: tuple[int, ...] = (20,)
     held_out: float = 0.25
+    coarse: CoarseTracking = field(default_factory=CoarseTracking)
     shooting: ShootingSettings = field(default_factory=ShootingSettings)
     stiffness: tuple[float, float, float] = (850.0, 2.8, 5.3e-5)
-    longest_substep: float = 0.01
+    longest_substep: float = 0.005
     usual_discrepancy: Discrepancy = field(default_factory=lambda: Discrepancy(1.6, 0.1))
     foretold: int = 4
     weights: Weights = field(default_factory=Weights)
@@ -107,7 +109,9 @@ def diagnose(
     _start_stiffness(reconstruction, settings.stiffness)
     times = StageTimes()
     with times.stage("tracking"):
-        positions, cached = _tracked_positions(reconstruction, recipe, used, folder, progress)
+        positions, cached = _tracked_positions(
+            reconstruction, recipe, settings.coarse, used, folder, progress
+        )
     if cached:
         times.from_cache("tracking")
     times.write(folder / TIMES_FILE)
@@ -246,7 +250,12 @@ def _still_findings(
 
 
 def _tracked_positions(
-    reconstruction: Reconstruction, recipe: TrackingRecipe, used: int, folder: Path, progress: Progress
+    reconstruction: Reconstruction,
+    recipe: TrackingRecipe,
+    coarse: CoarseTracking,
+    used: int,
+    folder: Path,
+    progress: Progress,
 ) -> tuple[Array, bool]:
     """Frame positions (F, N, 3) [m], and whether they come from the folder."""
     path = folder / TRACKED_FILE
@@ -259,7 +268,7 @@ def _tracked_positions(
     def report(frame: int, share: float) -> None:
         progress(f"tracking, frame {frame} of {n_frames}", 0.45 * share)
 
-    positions = track(reconstruction, recipe, used, report)
+    positions = track(reconstruction, recipe, coarse, used, report)
     _write_arrays(path, {"positions": positions, "used": np.array(used)})
     return positions, False
 

@@ -11,55 +11,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve
 
+from toile.diagnosis.continuity import Discrepancy, Joined, Reduced, WindowSystem
 from toile.diagnosis.positive import positive_factor
 
 Array = NDArray[np.float64]
-
-
-class Discrepancy(NamedTuple):
-    """Deviations of a mode of the missing force [m/s²].
-
-    Attributes:
-        internal: of a mode that leaves the balance of torques alone.
-        external: of one that does not; see force_modes.
-    """
-
-    internal: float
-    external: float
-
-
-@dataclass(frozen=True)
-class WindowSystem:
-    """Gauss-Newton system of one window over [base | effects | local].
-
-    Attributes:
-        matrix, gradient: of the image term, local force columns in m/s².
-        white: current local unknowns in units of the base fit's deviations.
-        internal, external: which local columns are forces of that kind (n_local,).
-        fitted: deviations of the forces in the base fit.
-    """
-
-    matrix: Array
-    gradient: Array
-    white: Array
-    internal: NDArray[np.bool_]
-    external: NDArray[np.bool_]
-    fitted: Discrepancy
-
-
-@dataclass(frozen=True)
-class Reduced:
-    """A system without local unknowns, at one size of the discrepancy."""
-
-    matrix: Array
-    right: Array
-    constant: float
 
 
 @dataclass(frozen=True)
@@ -80,8 +40,8 @@ class Posterior:
     columns: tuple[int, ...]
 
 
-INTERNAL = (0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
-EXTERNAL = (0.025, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6)
+INTERNAL = (0.0125, 0.025, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
+EXTERNAL = (0.003125, 0.00625, 0.0125, 0.025, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6)
 DISCREPANCIES = tuple(Discrepancy(a, b) for a in INTERNAL for b in EXTERNAL)
 """What is tried."""
 
@@ -107,7 +67,9 @@ class Evidence:
         self.deviations = deviations
         self.slack = slack
         self.n_shared = len(systems[0].gradient) - len(systems[0].white)
-        self.reduced = {size: _reduce(systems, size, self.n_shared) for size in DISCREPANCIES}
+        self.reduced: dict[Discrepancy, Reduced] = {
+            size: Joined(systems, size).reduced for size in DISCREPANCIES
+        }
 
     def posterior(self, columns: Sequence[int], largest: Discrepancy = ANY) -> Posterior:
         """The hypothesis that frees these columns, at its best discrepancy up to ``largest``."""
@@ -187,13 +149,7 @@ class Evidence:
         H = reduced.matrix[:b, :b] + np.diag(self.deviations**-2)
         right = reduced.right[:b] - reduced.matrix[:b] @ given - self.values / self.deviations**2
         given[:b] = np.linalg.solve(H, right)
-        changes = []
-        for s in self.systems:
-            scale, mean = _scaled(s, size)
-            factor = positive_factor(np.eye(len(scale)) + scale[:, None] * s.matrix[n:, n:] * scale)
-            u = -(scale * (s.gradient[n:] + s.matrix[n:, :n] @ given) + mean)
-            changes.append(scale * cho_solve(factor, u))
-        return self.values + given[:b], changes
+        return self.values + given[:b], Joined(self.systems, size).locals(given)
 
     def _at(self, columns: Sequence[int], size: Discrepancy, *, charge: bool = True) -> Posterior:
         reduced = self.reduced[size]
@@ -223,29 +179,6 @@ def _tried(size: Discrepancy) -> Discrepancy:
         max((d for d in INTERNAL if d <= size.internal), default=INTERNAL[0]),
         max((d for d in EXTERNAL if d <= size.external), default=EXTERNAL[0]),
     )
-
-
-def _reduce(systems: Sequence[WindowSystem], size: Discrepancy, n: int) -> Reduced:
-    matrix, right, constant = np.zeros((n, n)), np.zeros(n), 0.0
-    for s in systems:
-        scale, mean = _scaled(s, size)
-        factor = positive_factor(np.eye(len(scale)) + scale[:, None] * s.matrix[n:, n:] * scale)
-        C = scale[:, None] * s.matrix[n:, :n]
-        u = -(scale * s.gradient[n:] + mean)
-        solved = cho_solve(factor, u)
-        matrix += s.matrix[:n, :n] - C.T @ cho_solve(factor, C)
-        right += -s.gradient[:n] - C.T @ solved
-        constant += 0.5 * u @ solved - 0.5 * mean @ mean - np.log(np.diag(factor[0])).sum()
-    return Reduced(matrix, right, float(constant))
-
-
-def _scaled(s: WindowSystem, size: Discrepancy) -> tuple[Array, Array]:
-    """Prior deviations of the local columns and their present white values, at a size of the discrepancy."""
-    scale = np.ones(len(s.white))
-    fitted = np.ones(len(s.white))
-    for kind, now, then in zip((s.internal, s.external), size, s.fitted, strict=True):
-        scale[kind], fitted[kind] = now, then
-    return scale, s.white * fitted / scale
 
 
 # Log evidence taken from an effect whose every sign is impossible.

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from toile.diagnosis.evidence import Discrepancy
-from toile.diagnosis.mechanics import Mechanics, fitted_discrepancy
+from toile.diagnosis.base_fit import fitted_discrepancy
+from toile.diagnosis.continuity import Discrepancy
+from toile.diagnosis.mechanics import Mechanics
 from toile.effects.base import CameraEffect, Effect
 from toile.evaluation.diagnosis_record import Estimate
 

@@ -66,16 +66,6 @@ class SlipFit:
     start: float
     duration: float
 
-    def effect(self, effect: AnchorSlip) -> AnchorSlip:
-        """The slip that was found, with its vertex, start and duration."""
-        low = np.array([p.low for p in effect.parameters])
-        high = np.array([p.high for p in effect.parameters])
-        values = np.clip(self.mean * effect.scales.numpy(), low, high)
-        names = [p.name for p in effect.parameters]
-        return AnchorSlip(
-            dict(zip(names, values.tolist(), strict=True)), self.vertex, self.start, self.duration
-        )
-
 
 def slip_evidence(effect: AnchorSlip, positions: Array, fps: float, pull: Array | None = None) -> SlipFit:
     """Evidence that one of the held vertices slips.

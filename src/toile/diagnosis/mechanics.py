@@ -15,17 +15,19 @@ from toile.diagnosis.base_fit import (
     base_columns,
     base_deviations,
     fit_base,
+    window_systems,
 )
+from toile.diagnosis.continuity import WindowSystem
 from toile.diagnosis.effect_columns import (
     FORCES,
     Instant,
     apparent_columns,
     force_columns,
 )
-from toile.diagnosis.evidence import Discrepancy, Evidence, WindowSystem
+from toile.diagnosis.evidence import Evidence
 from toile.diagnosis.model_grid import ModelGrid
 from toile.diagnosis.sensitivities import StepForces
-from toile.diagnosis.shooting import Shooting, ShootingSettings
+from toile.diagnosis.shooting import Shooting, ShootingSettings, WindowMotion
 from toile.diagnosis.tracked import Tracked
 from toile.effects.base import CameraEffect, Effect, Surroundings
 from toile.fitting.gauss_newton.unknowns import horizontal_basis
@@ -118,17 +120,12 @@ def analyse_mechanics(
     for effect in acting:
         columns[effect.NAME] = (at, at + len(effect.scales))
         at += len(effect.scales)
-    systems = window_systems(shooting, fit, acting, around, scene.camera, at)
+    systems = effect_systems(shooting, fit, acting, around, scene.camera, at)
     evidence = Evidence(systems, fit.values, base_deviations(shooting))
     return Mechanics(shooting, fit, evidence, columns, {e.NAME: e for e in acting}, around)
 
 
-def fitted_discrepancy(shooting: Shooting) -> Discrepancy:
-    """Deviations of the forces in the base fit."""
-    return Discrepancy(shooting.settings.force, shooting.settings.external)
-
-
-def window_systems(
+def effect_systems(
     shooting: Shooting,
     fit: BaseFit,
     effects: Sequence[Effect],
@@ -145,26 +142,21 @@ def window_systems(
     acceleration = shooting.gravity + base.wind @ shooting.horizontal
     h = shooting.simulator.time_step
     held = shooting.simulator.assembly.held
-    systems = []
-    for window in fit.windows:
 
-        def shared(step: StepForces, first: int = window.first) -> Array:
-            time = first / around.fps + (step.index + 1) * h
+    def shared(window: WindowMotion) -> Callable[[StepForces], Array]:
+        def columns(step: StepForces) -> Array:
+            time = window.first / around.fps + (step.index + 1) * h
             now = Instant(step, time, h, base.stiffness, acceleration, step.positions[held])
             return np.concatenate((of_base(step), *(force_columns(e, now, around) for e in forces)))
 
-        def seen(frame: int, positions: Array) -> Array:
-            found = [apparent_columns(e, positions, template, camera) for e in cameras]
-            return np.concatenate(found) if found else np.zeros((0, *positions.shape))
+        return columns
 
-        G, g = shooting.normal(window, base, shared, seen, N_BASE + n_effects)
-        n = window.last - window.first
-        external = shooting.external(n)
-        pushed = np.arange(len(external)) >= shooting.layout(n)[1]
-        systems.append(
-            WindowSystem(G, g, window.white, pushed & ~external, external, fitted_discrepancy(shooting))
-        )
-    return systems
+    def seen(frame: int, positions: Array) -> Array:
+        found = [apparent_columns(e, positions, template, camera) for e in cameras]
+        return np.concatenate(found) if found else np.zeros((0, *positions.shape))
+
+    columns = [shared(window) for window in fit.windows]
+    return window_systems(shooting, fit.windows, base, columns, seen, N_BASE + n_effects)
 
 
 # Out-of-balance force over a vertex' weight: 0.01 m/s², far below any discrepancy that is looked at.

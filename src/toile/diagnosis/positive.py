@@ -9,6 +9,12 @@ from scipy.linalg import LinAlgError, cho_factor
 Array = NDArray[np.float64]
 
 
+def positive_lower(matrix: Array) -> Array:
+    """Lower triangular factor, zero above; see positive_factor."""
+    factor, lower = positive_factor(matrix)
+    return np.tril(factor) if lower else np.triu(factor).T
+
+
 def positive_factor(matrix: Array) -> tuple[Array, bool]:
     """Factor for ``cho_solve``; tangents in single precision may leave small eigenvalues below zero.
 

@@ -181,8 +181,10 @@ class KnownMotion:
         columns: Callable[[StepForces], Columns],
         start: Array,
         velocities: Array,
-    ) -> Iterator[Single]:
-        """Change of the frames first + 1 ... last for every column: (3N, R) [m] each, vertices' own order.
+    ) -> Iterator[tuple[Single, Single]]:
+        """Change of the frames first + 1 ... last for every column, vertices' own order.
+
+        Positions (3N, R) [m] and velocities [m/s] of each.
 
         Args:
             first: frame whose state changes as ``start`` and ``velocities`` say.
@@ -221,7 +223,9 @@ class KnownMotion:
             x[held_rows, :m] = anchors.T
             history = [x, *history[:-1]]
             if (n + 1) % substeps == 0:
-                yield x
+                formula = self.simulator.integrator.formula(self._before + n)
+                total = sum(np.float32(d) * y for d, y in zip(formula.velocity, history, strict=False))
+                yield x, np.asarray(total / np.float32(h), np.float32)
 
     def _factor(self, x: Array, inertia: Array) -> tuple[BlockFactor, Array]:
         assembly = self.simulator.assembly

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import chain
+from itertools import chain, pairwise
 
 import numpy as np
 import torch
@@ -43,6 +43,8 @@ class ShootingSettings:
         anchor_knot: frames between knots of the anchors.
         start_position: deviation of each mode of the start's positions [m].
         start_velocity: of its velocities [m/s].
+        jump_position: of each mode of what lies between the end of a window and the start of the next [m].
+        jump_velocity: of its velocities [m/s].
         anchor: of the anchors at a knot [m].
         stiffness: of log Y, S, B.
         wind: of each horizontal component [m/s²].
@@ -60,6 +62,8 @@ class ShootingSettings:
     anchor_knot: int = 2
     start_position: float = 0.003
     start_velocity: float = 0.06
+    jump_position: float = 0.0003
+    jump_velocity: float = 0.006
     anchor: float = 0.003
     stiffness: float = 1.0
     wind: float = 2.0
@@ -163,6 +167,8 @@ class Shooting:
         self.fields = (modes[:, None, :, None] * eye[None, :, None, :]).reshape(-1, len(self.masses), 3)
         self.fields = self.fields * self.free
         self.n_fields = len(self.fields)
+        flat = self.fields.reshape(self.n_fields, -1)
+        self._to_modes = np.linalg.solve(flat @ flat.T, flat)
         self.n_held = len(simulator.cloth.held)
         held = simulator.assembly.held
         size = float(np.linalg.norm(np.ptp(tracked.positions[0], axis=0)))
@@ -300,11 +306,44 @@ class Shooting:
             converged=good,
         )
 
+    def image_cost(self, window: WindowMotion) -> float:
+        """Negative log-likelihood of a window's images, up to a constant."""
+        frames = window.positions[:: self.substeps]
+        return self.weight * sum(self.tracked.cost(window.first + i, x) for i, x in enumerate(frames))
+
     def cost(self, window: WindowMotion) -> float:
         """Negative log-posterior of a window's images and local unknowns, up to a constant."""
-        frames = window.positions[:: self.substeps]
-        image = sum(self.tracked.cost(window.first + i, x) for i, x in enumerate(frames))
-        return self.weight * image + 0.5 * float(window.white @ window.white)
+        return self.image_cost(window) + 0.5 * float(window.white @ window.white)
+
+    def clip_cost(self, windows: Sequence[WindowMotion]) -> float:
+        """Negative log-posterior of windows that follow one another, up to a constant."""
+        total = self.cost(windows[0])
+        for before, window in pairwise(windows):
+            jump, own = self.jump(before, window), window.white[2 * self.n_fields :]
+            total += self.image_cost(window) + 0.5 * float(jump @ jump + own @ own)
+        return total
+
+    def jump(self, before: WindowMotion, window: WindowMotion) -> Array:
+        """Modes of positions and velocities between an end and the next start, in deviations."""
+        assert before.end is not None
+        assert window.start is not None
+        positions = (window.start.positions - before.end.positions)[0].numpy()
+        velocities = (window.start.velocities - before.end.velocities)[0].numpy()
+        return self._in_jumps(positions.reshape(-1, 1), velocities.reshape(-1, 1))[:, 0]
+
+    def jump_ratio(self) -> Array:
+        """Derivative of a jump by the local unknowns of the start (2 n_fields,)."""
+        s = self.settings
+        return np.repeat(
+            (s.start_position / s.jump_position, s.start_velocity / s.jump_velocity), self.n_fields
+        )
+
+    def _in_jumps(self, positions: NDArray[np.floating], velocities: NDArray[np.floating]) -> Array:
+        """Modes of positions (3N, R) [m] and velocities [m/s], in deviations of a jump (2 n_fields, R)."""
+        s = self.settings
+        return np.concatenate(
+            (self._to_modes @ positions / s.jump_position, self._to_modes @ velocities / s.jump_velocity)
+        )
 
     def normal(
         self,
@@ -313,8 +352,10 @@ class Shooting:
         shared: Callable[[StepForces], Array],
         seen: Callable[[int, Array], Array],
         n_shared: int,
-    ) -> tuple[Array, Array]:
+    ) -> tuple[Array, Array, Array]:
         """Gauss-Newton matrix and gradient of the image term over [shared | local white at force=1].
+
+        The third is the derivative of the end, in modes and deviations of a jump (2 n_fields, n).
 
         Args:
             window: simulated.
@@ -366,10 +407,10 @@ class Shooting:
 
         G, g = np.zeros((R, R)), np.zeros(R)
         frames = window.positions[::sub]
-        moves = chain(
-            [start.reshape(R, -1).T.astype(np.float32)], motion.tangents(0, n, sub, columns, start, speed)
-        )
-        for i, moved in enumerate(moves):
+        first = tuple(a.reshape(R, -1).T.astype(np.float32) for a in (start, speed))
+        end = first
+        for i, end in enumerate(chain([first], motion.tangents(0, n, sub, columns, start, speed))):
+            moved = end[0]
             f = window.first + i
             apparent = seen(f, frames[i])
             J = moved
@@ -380,7 +421,7 @@ class Shooting:
             information = self.tracked.information[f]
             G += (J.T @ (information @ J)).astype(np.float64)
             g += J.T.astype(np.float64) @ self.tracked.slope(f, frames[i])
-        return self.weight * G, self.weight * g
+        return self.weight * G, self.weight * g, self._in_jumps(*end)
 
 
 @torch.no_grad()

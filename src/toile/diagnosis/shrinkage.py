@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from toile.cloth.state import State
 from toile.diagnosis.base_fit import base_of, local_scales
-from toile.diagnosis.evidence import Discrepancy
+from toile.diagnosis.continuity import Discrepancy
 from toile.diagnosis.findings import Finding
 from toile.diagnosis.held_out import Prediction, predict
 from toile.diagnosis.mechanics import Mechanics

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -36,7 +36,6 @@ class StageTimes:
     def __init__(self) -> None:
         self._seconds: dict[str, tuple[float, float]] = {}
         self._cached: set[str] = set()
-        self._entered: AbstractContextManager[None] | None = None
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
@@ -53,30 +52,17 @@ class StageTimes:
                 before[1] + time.process_time() - cpu,
             )
 
-    def enter(self, name: str) -> None:
-        """Leave the stage that was entered before, if any, and begin this one: for stages in a row."""
-        self.leave()
-        self._entered = self.stage(name)
-        self._entered.__enter__()
-
-    def leave(self) -> None:
-        """End the stage that was entered."""
-        if self._entered is not None:
-            self._entered.__exit__(None, None, None)
-            self._entered = None
-
     def from_cache(self, name: str) -> None:
         """Note that a stage's result was only read back: what counts is the time of making it."""
         self._seconds.setdefault(name, (0.0, 0.0))
         self._cached.add(name)
 
     def write(self, path: Path) -> Path:
-        """End the entered stage and write all; for cached ones the file that is there knows what they took.
+        """Write all; for cached ones the file that is there knows what they took.
 
         Raises:
             InputError: the file that is there cannot be understood.
         """
-        self.leave()
         earlier = read_times(path) if path.is_file() else {}
         unknown = StageTime(None, None)
         stages = {}

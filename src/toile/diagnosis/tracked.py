@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from scipy import sparse
 
@@ -52,34 +53,62 @@ class Tracked:
         return np.sqrt((away**2).sum(-1).mean(-1))
 
 
+@dataclass(frozen=True)
+class CoarseTracking:
+    """A first pass over blurred images: it finds fast motion and repeated prints that the fine one loses.
+
+    Attributes:
+        blur: σ of the pre-blur [px].
+        per_side: points along each side of the cloth.
+        cg_iterations: per window.
+    """
+
+    blur: float = 10.0
+    per_side: int = 32
+    cg_iterations: int = 15
+
+
 def track(
     reconstruction: Reconstruction,
     recipe: TrackingRecipe,
+    coarse: CoarseTracking,
     used: int,
     report: Callable[[int, float], None],
 ) -> Array:
-    """Track the motion by the recipe's last stage; frame positions (F, N, 3) [m].
+    """Track the motion on blurred images, then by the recipe's last stage; frame positions (F, N, 3) [m].
 
-    The first ``used`` frames stay as they were when the recipe had seen no others.
+    The first ``used`` frames stay as they were when neither pass had seen any others.
 
     Args:
         reconstruction: changed in place.
         recipe: with free forces; stiffness is the diagnosis' own business.
+        coarse: see CoarseTracking.
         used: frames.
         report: called with the frames covered and the share that is done.
     """
-    tracking = TrackingRecipe({"track": recipe.stages[-1]})
+    fine = recipe.stages[-1]
+    term = replace(point_settings(recipe), blur=coarse.blur, per_side=coarse.per_side)
+    first = replace(fine, term=term, cg_iterations=coarse.cg_iterations)
+    tracking = TrackingRecipe({"coarse": first, "fine": fine})
     tracking.start(reconstruction)
     n = tracking.n_cycles(reconstruction)
-    sub = reconstruction.substeps
+    n_coarse = TrackingRecipe({"coarse": first}).n_cycles(reconstruction)
+    p, sub = reconstruction.parameters, reconstruction.substeps
+    forces, anchors = p.turbulence.detach().clone(), p.anchor_motion.detach().clone()
     early = positions = reconstruction.template.numpy()[None]
     for index in range(n):
         covered = tracking.cycle(reconstruction, index).n_frames
         motion = tracking.substep_positions()
         assert motion is not None
         positions = motion[0, ::sub].numpy().copy()
-        if covered <= used:
-            early = positions
+        if covered <= used and index < n_coarse:
+            forces, anchors = p.turbulence.detach().clone(), p.anchor_motion.detach().clone()
+        elif covered <= used:
+            early = positions[:covered]
+        if index == n_coarse - 1:
+            with torch.no_grad():
+                p.turbulence[: used - 1] = forces[: used - 1]
+                p.anchor_motion[:used] = anchors[:used]
         report(covered, (index + 1) / n)
     positions[: len(early)] = early
     return positions

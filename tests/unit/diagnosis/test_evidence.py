@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from toile.diagnosis.evidence import DISCREPANCIES, Discrepancy, Evidence, WindowSystem
+from toile.diagnosis.continuity import Discrepancy, WindowSystem
+from toile.diagnosis.evidence import DISCREPANCIES, Evidence
 
 INTERNAL = np.array([False, False, False, True, False])
 EXTERNAL = np.array([False, False, False, False, True])

@@ -82,15 +82,3 @@ def test_another_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "times.json").write_text("[]")
     with pytest.raises(InputError, match="Times"):
         read_times(tmp_path / "times.json")
-
-
-def test_stages_in_a_row(clock: list[float], tmp_path: Path) -> None:
-    times = StageTimes()
-    for name, seconds in (("tracking", 8.0), ("base model", 3.0)):
-        times.enter(name)
-        clock[0] += seconds
-    times.write(tmp_path / "times.json")
-    clock[0] += 100.0  # after the last one nothing runs
-    times.write(tmp_path / "times.json")
-    found = read_times(tmp_path / "times.json")
-    assert {name: taken.wall for name, taken in found.items()} == {"tracking": 8.0, "base model": 3.0}

@@ -88,18 +88,14 @@ def make_scene(setup: RealitySettings, request: SceneRequest) -> MadeScene:
         reality_effect(name)
         if level not in LEVELS:
             raise InputError("No such level", where="effects", expected=", ".join(LEVELS), got=level)
-    failure = "?"
     for attempt in range(len(_SMALLEST_SHARES)):
         base = draw_base(setup, np.random.default_rng([request.seed, attempt, 1]))
         try:
             return _Maker(setup, base, request, attempt).make()
         except SimulationError as error:
-            failure = str(error)
             # Whoever watches a blind set being made must not learn what is in it.
-            _log.debug("scene %s, draw %d: %s", request.name, attempt, failure)
-    raise SimulationError(
-        f"no scene {request.effects} after {len(_SMALLEST_SHARES)} draws; the last: {failure}"
-    )
+            _log.debug("scene %s, draw %d: %s", request.name, attempt, error)
+    raise SimulationError(f"no scene {request.name} after {len(_SMALLEST_SHARES)} draws")
 
 
 class _Maker:
