@@ -126,6 +126,10 @@ blind: setup ## Make scenes with sealed labels, diagnose them, open the labels: 
 blind-results: setup ## Put a graded set (BLIND_NAME) into the documents: docs/results/blind_standard.md
 	$(BIN)/python benchmarks/blind_results.py $(BLIND_NAME)
 
+.PHONY: development
+development: setup ## Scenes with open labels for the diagnosis: docs/results/diagnosis_development.md; resumes
+	$(BIN)/python benchmarks/development.py
+
 .PHONY: effects
 effects: setup ## Does every effect find its own numbers again? docs/results/effects.md
 	$(BIN)/python benchmarks/effects.py

@@ -26,8 +26,7 @@ from matplotlib.figure import Figure
 
 from toile.atomic_file import write_text, written_atomically
 from toile.diagnosis.stage_times import TIMES_FILE, read_times
-from toile.effects.base import Stage
-from toile.effects.catalogue import STAGES
+from toile.effects.catalogue import MOVING, STAGES
 from toile.errors import InputError
 from toile.evaluation.blind_leak import file_statistics, leaks, power
 from toile.evaluation.blind_measures import measured
@@ -35,7 +34,6 @@ from toile.evaluation.blind_run import Predictions
 from toile.evaluation.blind_sealing import BlindSet
 from toile.evaluation.blind_tables import LEVELS
 
-MOVING = (Stage.MECHANICS, Stage.ACTUATION)
 ARMS = {
     "shrink_true": ("true effect", "o", "#0b6fb8"),
     "shrink_runner_up": ("runner-up: best wrong candidate", "s", "#d9822b"),

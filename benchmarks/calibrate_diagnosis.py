@@ -23,9 +23,8 @@ from toile.diagnosis.decision import NONE, UNKNOWN, Calibration, Weights, probab
 from toile.diagnosis.diagnose import SCREENING_FILE
 from toile.diagnosis.effect_columns import FORCES
 from toile.effects.base import Stage
-from toile.effects.catalogue import CATALOGUE, STAGES
+from toile.effects.catalogue import CATALOGUE, MOVING, STAGES
 
-MOVING = (Stage.MECHANICS, Stage.ACTUATION)
 KINDS = (MOVING, (Stage.CAMERA, Stage.OBSERVATION), (Stage.APPEARANCE,))
 """Stages whose effects leave the same sort of trace: in the motion, in the outline, in the colours."""
 TARGET = Path(__file__).parent.parent / "src/toile/diagnosis/calibration.json"

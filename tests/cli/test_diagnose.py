@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from toile.cli.diagnose import diagnose_scene
+from toile.diagnosis.diagnose import TRACKED_FILE
 from toile.evaluation.diagnosis_record import DIAGNOSIS_FILE, GapReport
 
 SCENE = (
@@ -68,3 +71,30 @@ def test_a_recipe_that_does_not_track_is_refused(toile) -> None:
     status, _, err = toile("diagnose", "scene=clip", *SMALL[:1], "optimization=adam", "loss=none")
     assert status == 2
     assert "optimization=tracking" in err
+
+
+def test_held_out_images_have_no_part_in_the_fitted_frames(toile) -> None:
+    """Neither by the coarse pass of tracking nor by the fine one."""
+    assert toile("generate", *SCENE).status == 0
+    scene = next(Path("data").rglob("scene.json")).parent
+    coarse = [
+        f"+diagnosis.coarse.{item}"
+        for item in (
+            "_target_=toile.diagnosis.tracked.CoarseTracking",
+            "blur=6.0",
+            "per_side=16",
+            "cg_iterations=10",
+        )
+    ]
+    spoilt = Path("spoilt")
+    shutil.copytree(scene, spoilt)
+    for path in sorted((spoilt / "rgbs").iterdir())[9:]:
+        picture = cv2.imread(str(path))
+        assert cv2.imwrite(str(path), np.ascontiguousarray(picture[::-1, ::-1]))
+    positions = []
+    for folder in (scene, spoilt):
+        diagnose_scene(folder, Path("run") / folder.name, (*SMALL, *coarse))
+        with np.load(Path("run") / folder.name / TRACKED_FILE) as tracked:
+            positions.append(tracked["positions"])
+    assert np.abs(positions[0][9:] - positions[1][9:]).max() > 1e-3
+    np.testing.assert_array_equal(positions[0][:9], positions[1][:9])

@@ -55,7 +55,7 @@ class DiagnosisSettings:
     Attributes:
         sides: vertices along each side of the model's grids, coarse to fine; the scene's own at most.
         held_out: share of the frames at the end that nothing is fitted to.
-        coarse: the first pass of tracking.
+        coarse: the first pass of tracking; None for none.
         shooting: windows and priors.
         stiffness: start values Y [N/m], S per cell area [N/m] and B [N·m]: the same fabric on every grid.
         longest_substep: of the base model [s].
@@ -69,7 +69,7 @@ class DiagnosisSettings:
 
     sides: tuple[int, ...] = (20,)
     held_out: float = 0.25
-    coarse: CoarseTracking = field(default_factory=CoarseTracking)
+    coarse: CoarseTracking | None = field(default_factory=CoarseTracking)
     shooting: ShootingSettings = field(default_factory=ShootingSettings)
     stiffness: tuple[float, float, float] = (850.0, 2.8, 5.3e-5)
     longest_substep: float = 0.005
@@ -252,7 +252,7 @@ def _still_findings(
 def _tracked_positions(
     reconstruction: Reconstruction,
     recipe: TrackingRecipe,
-    coarse: CoarseTracking,
+    coarse: CoarseTracking | None,
     used: int,
     folder: Path,
     progress: Progress,

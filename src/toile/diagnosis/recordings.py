@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from toile.effects.base import Stage
-from toile.effects.catalogue import STAGES
+from toile.effects.catalogue import MOVING, STAGES
 
 _BY_EFFECT = {
     "gravity_tilt": "the same cloth with a plumb line in view",
@@ -34,7 +33,7 @@ def next_recording(candidates: Sequence[str]) -> str:
     stages = [STAGES[c] for c in known]
     if not known:
         return "a second, longer clip of the same cloth with another motion of the held corners"
-    if len(known) > 1 and all(stage in (Stage.MECHANICS, Stage.ACTUATION) for stage in stages):
+    if len(known) > 1 and all(stage in MOVING for stage in stages):
         head = "a second clip with the held corners shaken about 3 cm at 2 to 3 Hz"
     else:
         head = ""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from toile.diagnosis.model_grid import ModelGrid
-from toile.fitting.gauss_newton.recipe import TrackingRecipe, visible
+from toile.fitting.gauss_newton.recipe import Stage, TrackingRecipe, visible
 from toile.fitting.reconstruction import Reconstruction
 from toile.fitting.terms.image_features import contrast_features
 from toile.fitting.terms.texture_points import PointTermSettings, TexturePointTerm, grid_points
@@ -71,7 +71,7 @@ class CoarseTracking:
 def track(
     reconstruction: Reconstruction,
     recipe: TrackingRecipe,
-    coarse: CoarseTracking,
+    coarse: CoarseTracking | None,
     used: int,
     report: Callable[[int, float], None],
 ) -> Array:
@@ -82,13 +82,15 @@ def track(
     Args:
         reconstruction: changed in place.
         recipe: with free forces; stiffness is the diagnosis' own business.
-        coarse: see CoarseTracking.
+        coarse: see CoarseTracking; None for the second pass alone.
         used: frames.
         report: called with the frames covered and the share that is done.
     """
     fine = recipe.stages[-1]
-    term = replace(point_settings(recipe), blur=coarse.blur, per_side=coarse.per_side)
-    first = replace(fine, term=term, cg_iterations=coarse.cg_iterations)
+    first: Stage | None = None
+    if coarse is not None:
+        term = replace(point_settings(recipe), blur=coarse.blur, per_side=coarse.per_side)
+        first = replace(fine, term=term, cg_iterations=coarse.cg_iterations)
     tracking = TrackingRecipe({"coarse": first, "fine": fine})
     tracking.start(reconstruction)
     n = tracking.n_cycles(reconstruction)

@@ -52,3 +52,6 @@ CATALOGUE: Mapping[str, type[Effect]] = MappingProxyType(
 
 STAGES: Mapping[str, Stage] = MappingProxyType({name: effect.STAGE for name, effect in CATALOGUE.items()})
 """Stage of every effect by name."""
+
+MOVING = (Stage.MECHANICS, Stage.ACTUATION)
+"""Stages whose effects move the cloth."""

@@ -1,0 +1,178 @@
+"""Scenes with open labels that the diagnosis is developed and calibrated on: make, diagnose, tabulate.
+
+    make development
+
+They come from the same generators as the blind sets, under seeds of their own, and are no test of anything.
+Everything lies in ``outputs/development`` and is kept: ``scenes``, ``truth`` (vertices and label), ``runs``,
+``labels.json`` for ``calibrate_diagnosis.py``. The table is ``docs/results/diagnosis_development.md``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import traceback
+from pathlib import Path
+
+import toile.cli  # noqa: F401  # isort: skip  # first, because it sets the number of threads
+
+import numpy as np
+import pandas as pd
+import yaml
+
+from toile.atomic_file import write_text, written_atomically
+from toile.cli.configuration import CONF
+from toile.cli.diagnose import diagnose_scene
+from toile.diagnosis.diagnose import SCREENING_FILE, TRACKED_FILE
+from toile.evaluation.diagnosis_record import DIAGNOSIS_FILE, GapReport
+from toile.generation.reality.base_scene import RealitySettings
+from toile.generation.reality.blind_set import PlannedScene, write_opaque
+from toile.generation.reality.from_blender import make_with_blender, why_no_blender
+from toile.generation.reality.making import SceneRequest, make_scene
+
+FOLDER = Path("outputs/development")
+TABLE = Path("docs/results/diagnosis_development.md")
+
+_MOVING = (
+    "air_drag",
+    "gusts",
+    "internal_damping",
+    "frame_rate",
+    "gravity_tilt",
+    "rest_curvature",
+    "nonuniform_stiffness",
+    "nonuniform_density",
+    "anisotropic_stiffness",
+    "strain_stiffening",
+)
+_OUTSIDE = (("vortex", "vortex_field"), ("creases", "plastic_creases"), ("press", "internal_pressure"))
+_BLENDER = ("air_drag", "gusts", "internal_damping", "frame_rate", "gravity_tilt")
+
+
+def planned() -> list[PlannedScene]:
+    """Those of the package's own reality first."""
+    own = [(f"n{k}", (), 9200 + k) for k in (1, 2, 3, 4)]
+    own += [(f"{e}_m", ((e, "medium"),), 9100 + k) for k, e in enumerate(_MOVING)]
+    own += [(f"{e}_s", ((e, "strong"),), 9110 + k) for k, e in enumerate((*_MOVING, "anchor_slip"))]
+    own += [("air_drag_w", (("air_drag", "weak"),), 9301), ("gusts_w", (("gusts", "weak"),), 9302)]
+    own += [(f"{n}_s", ((e, "strong"),), 9401 + k) for k, (n, e) in enumerate(_OUTSIDE)]
+    other = [(f"bn{k}", (), 7000 + k) for k in (1, 2, 3, 4)]
+    medium = (*_BLENDER, "nonuniform_stiffness")
+    other += [(f"b_{e}_m", ((e, "medium"),), 7010 + k) for k, e in enumerate(medium)]
+    other += [(f"b_{e}_s", ((e, "strong"),), 7016 + k) for k, e in enumerate(_BLENDER)]
+    return [PlannedScene(*item) for item in own] + [PlannedScene(*item, "blender") for item in other]
+
+
+def make(scene: PlannedScene) -> None:
+    """Make a scene and its truth, unless they are there."""
+    if (FOLDER / "truth" / f"{scene.name}.json").is_file():
+        return
+    if scene.generator == "blender":
+        made = make_with_blender(scene, small=False)
+    else:
+        made = make_scene(reality(), SceneRequest(scene.name, scene.effects, scene.seed))
+    if not (FOLDER / "scenes" / scene.name).exists():
+        write_opaque(made.scene, FOLDER / "scenes" / scene.name)
+    path = FOLDER / "truth" / f"{scene.name}.npz"
+    with written_atomically(path) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(file, vertices=made.vertices.float().numpy())
+    write_text(path.with_suffix(".json"), json.dumps(made.label, indent=1) + "\n")
+
+
+def reality() -> RealitySettings:
+    """As in the blind sets."""
+    values = yaml.safe_load((CONF / "blind.yaml").read_text())["reality"]
+    values = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+    values["newton_tolerance"] = float(values["newton_tolerance"])
+    return RealitySettings(**values, data=os.environ.get("TOILE_DATA", "data"))
+
+
+def row(scene: PlannedScene) -> dict[str, object]:
+    """One line of the table."""
+    report = GapReport.read(FOLDER / "runs" / scene.name / DIAGNOSIS_FILE)
+    truth = scene.effects[0][0] if scene.effects else "none"
+    label = json.loads((FOLDER / "truth" / f"{scene.name}.json").read_text())
+    with np.load(FOLDER / "truth" / f"{scene.name}.npz") as stored:
+        true = stored["vertices"].astype(float)
+    with np.load(FOLDER / "runs" / scene.name / TRACKED_FILE) as stored:
+        off = stored["positions"].reshape(true.shape) - true
+    with np.load(FOLDER / "runs" / scene.name / SCREENING_FILE) as stored:
+        hindsight = dict(zip(stored["names"].tolist(), stored["screening"].tolist(), strict=True))
+        moving = {
+            name: value
+            for name, value in hindsight.items()
+            if name in _MOVING or (name == truth and truth != "anchor_slip")
+        }
+    order = sorted(moving, key=lambda name: -moving[name])
+    verdict = report.verdict
+    chance = {e.name: e.probability for e in report.effects}.get(truth)
+    return {
+        "scene": scene.name,
+        "engine": "Blender" if scene.generator == "blender" else "ours",
+        "effect": truth,
+        "motion it causes [% of width]": f"{label['magnitude'].get('mean_last_third', 0):.1f}",
+        "tracking error [mm]": f"{1e3 * np.linalg.norm(off, axis=-1).mean():.0f}",
+        "in the image plane [mm]": f"{1e3 * np.linalg.norm(off[..., :2], axis=-1).mean():.1f}",
+        "answer": verdict.effect,
+        "candidates": ", ".join(verdict.candidates),
+        "probability of the truth": "" if chance is None else f"{chance:.2f}",
+        "rank of its evidence": str(order.index(truth) + 1) if truth in order else "",
+        "strongest evidence": f"{order[0]} {moving[order[0]]:.1f}",
+        "naive answer": report.protocol.naive,
+    }
+
+
+def table(scenes: list[PlannedScene]) -> str:
+    """The document."""
+    rows = pd.DataFrame([row(s) for s in scenes])
+    single = rows[rows["effect"].isin(_MOVING)]
+    null = rows[rows["effect"] == "none"]
+    named = int((single["answer"] == single["effect"]).sum())
+    first = int((single["rank of its evidence"] == "1").sum())
+    held = sum(t in c.split(", ") for t, c in zip(single["effect"], single["candidates"], strict=True))
+    naive = int((single["naive answer"] == single["effect"]).sum())
+    return (
+        "# The diagnosis on the scenes it was developed on\n\n"
+        "Made by `make development`; the scenes come from the generators of the blind sets under seeds of "
+        "their own (`benchmarks/development.py`). They chose settings and calibration: "
+        "**they are no test.**\n\n"
+        f"Of {len(single)} scenes with one effect that moves the cloth, {named} are named (naive: {naive}), "
+        f"{held} have it in the 90 % set, and in {first} its evidence is the strongest of these effects'; of "
+        f"{len(null)} nulls {int((null['answer'] == 'none').sum())} are `none`.\n\n"
+        + rows.to_markdown(index=False)
+        + "\n"
+    )
+
+
+def main() -> None:
+    """See the module."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--only", nargs="*", help="names of scenes; default: all")
+    parser.add_argument("--table", action="store_true", help="of what is there; make and diagnose nothing")
+    arguments = parser.parse_args()
+    scenes = [s for s in planned() if not arguments.only or s.name in arguments.only]
+    reason = why_no_blender()
+    if reason and not arguments.table:
+        print(f"no scenes by Blender: {reason}")
+        scenes = [s for s in scenes if s.generator != "blender"]
+    labels = {s.name: s.effects[0][0] if s.effects else "none" for s in planned()}
+    write_text(FOLDER / "labels.json", json.dumps(labels, indent=1) + "\n")
+    for scene in [] if arguments.table else scenes:
+        run = FOLDER / "runs" / scene.name
+        if (run / DIAGNOSIS_FILE).is_file():
+            continue
+        print(scene.name, flush=True)
+        try:
+            make(scene)
+            diagnose_scene(FOLDER / "scenes" / scene.name, run, None)
+        except Exception:  # the other scenes are worth having
+            traceback.print_exc()
+    done = [s for s in scenes if (FOLDER / "runs" / s.name / DIAGNOSIS_FILE).is_file()]
+    print(write_text(TABLE, table(done)))
+
+
+if __name__ == "__main__":
+    main()
