@@ -88,16 +88,16 @@ def reality() -> RealitySettings:
     return RealitySettings(**values, data=os.environ.get("TOILE_DATA", "data"))
 
 
-def row(scene: PlannedScene) -> dict[str, object]:
+def row(scene: PlannedScene, runs: Path) -> dict[str, object]:
     """One line of the table."""
-    report = GapReport.read(FOLDER / "runs" / scene.name / DIAGNOSIS_FILE)
+    report = GapReport.read(runs / scene.name / DIAGNOSIS_FILE)
     truth = scene.effects[0][0] if scene.effects else "none"
     label = json.loads((FOLDER / "truth" / f"{scene.name}.json").read_text())
     with np.load(FOLDER / "truth" / f"{scene.name}.npz") as stored:
         true = stored["vertices"].astype(float)
-    with np.load(FOLDER / "runs" / scene.name / TRACKED_FILE) as stored:
+    with np.load(runs / scene.name / TRACKED_FILE) as stored:
         off = stored["positions"].reshape(true.shape) - true
-    with np.load(FOLDER / "runs" / scene.name / SCREENING_FILE) as stored:
+    with np.load(runs / scene.name / SCREENING_FILE) as stored:
         hindsight = dict(zip(stored["names"].tolist(), stored["screening"].tolist(), strict=True))
         moving = {
             name: value
@@ -123,14 +123,15 @@ def row(scene: PlannedScene) -> dict[str, object]:
     }
 
 
-def table(scenes: list[PlannedScene]) -> str:
+def table(scenes: list[PlannedScene], runs: Path) -> str:
     """The document."""
-    rows = pd.DataFrame([row(s) for s in scenes])
+    rows = pd.DataFrame([row(s, runs) for s in scenes])
     single = rows[rows["effect"].isin(_MOVING)]
     null = rows[rows["effect"] == "none"]
     named = int((single["answer"] == single["effect"]).sum())
     first = int((single["rank of its evidence"] == "1").sum())
     held = sum(t in c.split(", ") for t, c in zip(single["effect"], single["candidates"], strict=True))
+    left = len(planned()) - len(scenes)
     naive = int((single["naive answer"] == single["effect"]).sum())
     return (
         "# The diagnosis on the scenes it was developed on\n\n"
@@ -139,9 +140,8 @@ def table(scenes: list[PlannedScene]) -> str:
         "**they are no test.**\n\n"
         f"Of {len(single)} scenes with one effect that moves the cloth, {named} are named (naive: {naive}), "
         f"{held} have it in the 90 % set, and in {first} its evidence is the strongest of these effects'; of "
-        f"{len(null)} nulls {int((null['answer'] == 'none').sum())} are `none`.\n\n"
-        + rows.to_markdown(index=False)
-        + "\n"
+        f"{len(null)} nulls {int((null['answer'] == 'none').sum())} are `none`. {left} of the planned scenes "
+        "were not run.\n\n" + rows.to_markdown(index=False) + "\n"
     )
 
 
@@ -151,8 +151,11 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--only", nargs="*", help="names of scenes; default: all")
+    parser.add_argument("--settings", nargs="*", default=[], help="of toile diagnose; with --runs")
+    parser.add_argument("--runs", default="runs", help="their folder; another one has its own table.md")
     parser.add_argument("--table", action="store_true", help="of what is there; make and diagnose nothing")
     arguments = parser.parse_args()
+    runs = FOLDER / arguments.runs
     scenes = [s for s in planned() if not arguments.only or s.name in arguments.only]
     reason = why_no_blender()
     if reason and not arguments.table:
@@ -161,17 +164,17 @@ def main() -> None:
     labels = {s.name: s.effects[0][0] if s.effects else "none" for s in planned()}
     write_text(FOLDER / "labels.json", json.dumps(labels, indent=1) + "\n")
     for scene in [] if arguments.table else scenes:
-        run = FOLDER / "runs" / scene.name
+        run = runs / scene.name
         if (run / DIAGNOSIS_FILE).is_file():
             continue
         print(scene.name, flush=True)
         try:
             make(scene)
-            diagnose_scene(FOLDER / "scenes" / scene.name, run, None)
+            diagnose_scene(FOLDER / "scenes" / scene.name, run, arguments.settings)
         except Exception:  # the other scenes are worth having
             traceback.print_exc()
-    done = [s for s in scenes if (FOLDER / "runs" / s.name / DIAGNOSIS_FILE).is_file()]
-    print(write_text(TABLE, table(done)))
+    done = [s for s in scenes if (runs / s.name / DIAGNOSIS_FILE).is_file()]
+    print(write_text(TABLE if arguments.runs == "runs" else runs / "table.md", table(done, runs)))
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ scanned. A hypothesis gains by making the discrepancy small, not by fitting bett
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -71,13 +71,15 @@ class Evidence:
             size: Joined(systems, size).reduced for size in DISCREPANCIES
         }
 
-    def posterior(self, columns: Sequence[int], largest: Discrepancy = ANY) -> Posterior:
+    def posterior(
+        self, columns: Sequence[int], largest: Discrepancy = ANY, slack: float | None = None
+    ) -> Posterior:
         """The hypothesis that frees these columns, at its best discrepancy up to ``largest``."""
         best: Posterior | None = None
         for size in DISCREPANCIES:
             if not _within(size, largest):
                 continue
-            found = self._at(columns, size)
+            found = self._at(columns, size, slack)
             if best is None or found.log_evidence > best.log_evidence:
                 best = found
         assert best is not None
@@ -100,7 +102,7 @@ class Evidence:
             chosen = [columns[i] for i in sorted((*subset, *free))]
             if not chosen:
                 continue
-            found = self.posterior(chosen, largest)
+            found = self._scaled(chosen, largest)
             tried += 1
             low = np.array([lowest[list(columns).index(c)] for c in found.columns])
             if (found.mean < low).any():
@@ -119,6 +121,18 @@ class Evidence:
             best.covariance,
             best.columns,
         )
+
+    def _scaled(self, columns: Sequence[int], largest: Discrepancy) -> Posterior:
+        """The posterior; where an effect has many numbers, at their best common scale, which is charged.
+
+        Each of many numbers is charged for its prior's width, so a width that is too large by far hides a
+        field or a gust that is there (automatic relevance determination, MacKay 1992).
+        """
+        if len(columns) < _MANY:
+            return self.posterior(columns, largest)
+        found = [self.posterior(columns, largest, share * self.slack) for share in _SHARES]
+        best = max(found, key=lambda posterior: posterior.log_evidence)
+        return replace(best, log_evidence=best.log_evidence - float(np.log(len(_SHARES))))
 
     def loss_drop(self, columns: Sequence[int], size: Discrepancy) -> float:
         """By how much the training loss falls with these columns free, without any charge for them."""
@@ -151,10 +165,14 @@ class Evidence:
         given[:b] = np.linalg.solve(H, right)
         return self.values + given[:b], Joined(self.systems, size).locals(given)
 
-    def _at(self, columns: Sequence[int], size: Discrepancy, *, charge: bool = True) -> Posterior:
+    def _at(
+        self, columns: Sequence[int], size: Discrepancy, slack: float | None = None, *, charge: bool = True
+    ) -> Posterior:
         reduced = self.reduced[size]
         index = np.array([*range(self.n_base), *columns], int)
-        scale = np.concatenate((self.deviations, np.full(len(columns), self.slack)))
+        scale = np.concatenate(
+            (self.deviations, np.full(len(columns), self.slack if slack is None else slack))
+        )
         mean = np.concatenate((self.values / self.deviations, np.zeros(len(columns))))
         H = np.eye(len(index)) + scale[:, None] * reduced.matrix[np.ix_(index, index)] * scale
         factor = positive_factor(H)
@@ -181,5 +199,8 @@ def _tried(size: Discrepancy) -> Discrepancy:
     )
 
 
+# Numbers from which on their scale is found, and what is tried: shares of the usual one.
+_MANY = 4
+_SHARES = (0.05, 0.15, 0.4, 1.0)
 # Log evidence taken from an effect whose every sign is impossible.
 _FORBIDDEN = 20.0

@@ -105,3 +105,24 @@ def test_given_numbers_leave_the_least_of_the_rest() -> None:
     for _ in range(20):
         moved = [c + 1e-2 * rng.normal(size=c.shape) for c in changes]
         assert cost(values + 1e-2 * rng.normal(size=2), moved) > best
+
+
+def test_many_small_numbers_are_found_at_their_own_scale() -> None:
+    """A gust's modes, each far below its prior's width; where nothing is, the scan gains little."""
+    rng = np.random.default_rng(5)
+    n = 8
+    found = {}
+    for size in (0.0, 0.05):
+        systems = []
+        true = size * rng.normal(size=n)
+        for _ in range(2):
+            J = rng.normal(size=(60, 2 + n + 5)) * np.array([1, 1, *[2.0] * n, 1, 1, 1, 1, 1])
+            y = J[:, 2 : 2 + n] @ true + rng.normal(size=60)
+            systems.append(WindowSystem(J.T @ J, -J.T @ y, np.zeros(5), INTERNAL, EXTERNAL, SIZE))
+        evidence = Evidence(systems, np.zeros(2), np.ones(2))
+        columns = tuple(range(2, 2 + n))
+        base = evidence.posterior(()).log_evidence
+        scanned = evidence.signed(columns, np.full(n, -np.inf)).log_evidence - base
+        found[size] = scanned, evidence.posterior(columns).log_evidence - base
+    assert found[0.0][0] < 0
+    assert found[0.05][1] < 0 < found[0.05][0] - 3
