@@ -57,7 +57,7 @@ def read_case(run: Path, labels: dict[str, str]) -> Case:
             moves = isinstance(CATALOGUE[name](), FORCES)
             gain = 0.0 if np.isnan(foretold) else float(foretold)
             evidence[name] = weights.combined(float(hindsight), gain) if moves else float(hindsight)
-        evidence[UNKNOWN] = float(stored["unknown"])
+        evidence[UNKNOWN] = weights.combined(float(stored["unknown"]), 0.0)
     label = labels[run.name]
     truth = label if label in STAGES or label == NONE else UNKNOWN
     return Case(run.name, truth, evidence)
@@ -88,7 +88,7 @@ def calibrate(cases: list[Case], source: str) -> Calibration:
     spread[UNKNOWN] = max(1.0, float(np.std(quiet, ddof=1))) if len(quiet) > 2 else 1.0
     best: tuple[float, Calibration] | None = None
     for temperature, threshold, unknown in itertools.product(
-        (0.5, 0.75, 1.0, 1.5), (2.0, 2.5, 3.0, 4.0, 5.0), (2.0, 3.0, 4.0, 6.0, 8.0)
+        (0.5, 0.75, 1.0, 1.5), (1.5, 2.0, 2.5, 3.0, 4.0, 5.0), (1.5, 2.0, 3.0, 4.0, 5.0, 6.0)
     ):
         tried = Calibration(usual, spread, temperature, threshold, unknown, source)
         score = sum(np.log(probabilities(c.evidence, tried).get(c.truth, 0.0) + 1e-3) for c in cases)

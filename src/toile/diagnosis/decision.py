@@ -15,7 +15,7 @@ UNKNOWN = "unknown"
 
 @dataclass(frozen=True)
 class Weights:
-    """What hindsight and foresight count for, with effects that move the cloth.
+    """What hindsight and foresight count for, with effects that move the cloth and what is unknown.
 
     Attributes:
         hindsight: share of the log evidence from fitted windows that counts.
@@ -26,8 +26,8 @@ class Weights:
 
     hindsight: float = 0.3
     most: float = 20.0
-    foresight: float = 10.0
-    farthest: float = 1.0
+    foresight: float = 20.0
+    farthest: float = 0.5
 
     def combined(self, evidence: float, gain: float) -> float:
         """Log evidence that counts."""

@@ -155,7 +155,9 @@ def diagnose(
     evidence = {name: found.log_evidence for name, found in findings.items()}
     for name, found in screened.findings.items():
         evidence[name] = settings.weights.combined(found.log_evidence, gains.get(name, 0.0))
-    chances = probabilities({**evidence, UNKNOWN: screened.unknown}, calibration)
+    # What is unknown foretells nothing, better or worse.
+    unknown = settings.weights.combined(screened.unknown, 0.0)
+    chances = probabilities({**evidence, UNKNOWN: unknown}, calibration)
     ranked = [name for name in chances if name in findings]
     progress("held-out frames", 0.87)
     with times.stage("held-out frames"):
