@@ -1,6 +1,6 @@
 """Calibrate the diagnosis on scenes whose effect is known: ``calibration.json`` of the package.
 
-    python benchmarks/calibrate_diagnosis.py labels.json RUN [RUN ...] --source "what the scenes are"
+    python benchmarks/calibrate_diagnosis.py labels.json RUN [RUN ...] --source "what the scenes are" [--keep]
 
 ``labels.json`` maps the name of a run's folder to its effect: a name of the catalogue, ``none``, or any other
 name for what is outside. A run is the folder of one ``toile diagnose``. For each effect the scenes in which
@@ -73,8 +73,8 @@ def is_quiet(case: Case, effect: str) -> bool:
     return STAGES[case.truth] not in kind
 
 
-def calibrate(cases: list[Case], source: str) -> Calibration:
-    """Usual evidence from quiet scenes, the rest by the probability of the known answers."""
+def calibrate(cases: list[Case], source: str, before: Calibration | None = None) -> Calibration:
+    """Usual evidence from quiet scenes, or as it was before, the rest by the known answers' probability."""
     usual, spread = {}, {}
     for effect in STAGES:
         values = [c.evidence[effect] for c in cases if effect in c.evidence and is_quiet(c, effect)]
@@ -86,6 +86,8 @@ def calibrate(cases: list[Case], source: str) -> Calibration:
     ]
     usual[UNKNOWN] = float(np.mean(quiet)) if quiet else 0.0
     spread[UNKNOWN] = max(1.0, float(np.std(quiet, ddof=1))) if len(quiet) > 2 else 1.0
+    if before is not None:
+        usual, spread = dict(before.usual), dict(before.spread)
     best: tuple[float, Calibration] | None = None
     for temperature, threshold, unknown in itertools.product(
         (0.5, 0.75, 1.0, 1.5), (1.5, 2.0, 2.5, 3.0, 4.0, 5.0), (1.5, 2.0, 3.0, 4.0, 5.0, 6.0)
@@ -106,11 +108,14 @@ def main() -> None:
     parser.add_argument("labels", type=Path)
     parser.add_argument("runs", type=Path, nargs="+")
     parser.add_argument("--source", required=True)
+    parser.add_argument(
+        "--keep", action="store_true", help="what is usual; for too few scenes without effect"
+    )
     parser.add_argument("--target", type=Path, default=TARGET)
     arguments = parser.parse_args()
     labels = json.loads(arguments.labels.read_text())
     cases = [read_case(run, labels) for run in arguments.runs if run.name in labels]
-    found = calibrate(cases, arguments.source)
+    found = calibrate(cases, arguments.source, Calibration.load() if arguments.keep else None)
     right = 0
     for case in cases:
         chances = probabilities(case.evidence, found)

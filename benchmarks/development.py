@@ -20,11 +20,14 @@ import toile.cli  # noqa: F401  # isort: skip  # first, because it sets the numb
 import numpy as np
 import pandas as pd
 import yaml
+from calibrate_diagnosis import read_case
 
 from toile.atomic_file import write_text, written_atomically
 from toile.cli.configuration import CONF
 from toile.cli.diagnose import diagnose_scene
-from toile.diagnosis.diagnose import SCREENING_FILE, TRACKED_FILE
+from toile.diagnosis.decision import UNKNOWN, Calibration, probabilities
+from toile.diagnosis.diagnose import TRACKED_FILE
+from toile.diagnosis.verdict import verdict_of
 from toile.evaluation.diagnosis_record import DIAGNOSIS_FILE, GapReport
 from toile.generation.reality.base_scene import RealitySettings
 from toile.generation.reality.blind_set import PlannedScene, write_opaque
@@ -97,16 +100,11 @@ def row(scene: PlannedScene, runs: Path) -> dict[str, object]:
         true = stored["vertices"].astype(float)
     with np.load(runs / scene.name / TRACKED_FILE) as stored:
         off = stored["positions"].reshape(true.shape) - true
-    with np.load(runs / scene.name / SCREENING_FILE) as stored:
-        hindsight = dict(zip(stored["names"].tolist(), stored["screening"].tolist(), strict=True))
-        moving = {
-            name: value
-            for name, value in hindsight.items()
-            if name in _MOVING or (name == truth and truth != "anchor_slip")
-        }
-    order = sorted(moving, key=lambda name: -moving[name])
-    verdict = report.verdict
-    chance = {e.name: e.probability for e in report.effects}.get(truth)
+    evidence = read_case(runs / scene.name, {scene.name: truth}).evidence
+    # From the measured evidence, so that runs serve another calibration as well.
+    chances = probabilities(evidence, Calibration.load())
+    verdict = verdict_of(chances, {k: v for k, v in evidence.items() if k != UNKNOWN}, Calibration.load(), {})
+    order = sorted(_MOVING, key=lambda name: -evidence[name])
     return {
         "scene": scene.name,
         "engine": "Blender" if scene.generator == "blender" else "ours",
@@ -116,9 +114,9 @@ def row(scene: PlannedScene, runs: Path) -> dict[str, object]:
         "in the image plane [mm]": f"{1e3 * np.linalg.norm(off[..., :2], axis=-1).mean():.1f}",
         "answer": verdict.effect,
         "candidates": ", ".join(verdict.candidates),
-        "probability of the truth": "" if chance is None else f"{chance:.2f}",
+        "probability of the truth": f"{chances[truth]:.2f}" if truth in chances else "",
         "rank of its evidence": str(order.index(truth) + 1) if truth in order else "",
-        "strongest evidence": f"{order[0]} {moving[order[0]]:.1f}",
+        "strongest that moves": f"{order[0]} {evidence[order[0]]:.1f}",
         "naive answer": report.protocol.naive,
     }
 
