@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import traceback
 from pathlib import Path
 
@@ -19,14 +18,12 @@ import toile.cli  # noqa: F401  # isort: skip  # first, because it sets the numb
 
 import numpy as np
 import pandas as pd
-import yaml
 from calibrate_diagnosis import read_case
 
 from toile.atomic_file import write_text, written_atomically
-from toile.cli.configuration import CONF
 from toile.cli.diagnose import diagnose_scene
 from toile.diagnosis.decision import UNKNOWN, Calibration, probabilities
-from toile.diagnosis.diagnose import TRACKED_FILE
+from toile.diagnosis.diagnose import SCREENING_FILE, TRACKED_FILE
 from toile.diagnosis.verdict import verdict_of
 from toile.evaluation.diagnosis_record import DIAGNOSIS_FILE, GapReport
 from toile.generation.reality.base_scene import RealitySettings
@@ -50,6 +47,7 @@ _MOVING = (
     "strain_stiffening",
 )
 _OUTSIDE = (("vortex", "vortex_field"), ("creases", "plastic_creases"), ("press", "internal_pressure"))
+_REALITY = RealitySettings(templates=tuple(f"R{k}" for k in range(2, 10)))  # as in the blind sets
 _BLENDER = ("air_drag", "gusts", "internal_damping", "frame_rate", "gravity_tilt")
 
 
@@ -74,21 +72,13 @@ def make(scene: PlannedScene) -> None:
     if scene.generator == "blender":
         made = make_with_blender(scene, small=False)
     else:
-        made = make_scene(reality(), SceneRequest(scene.name, scene.effects, scene.seed))
+        made = make_scene(_REALITY, SceneRequest(scene.name, scene.effects, scene.seed))
     if not (FOLDER / "scenes" / scene.name).exists():
         write_opaque(made.scene, FOLDER / "scenes" / scene.name)
     path = FOLDER / "truth" / f"{scene.name}.npz"
     with written_atomically(path) as temporary, temporary.open("wb") as file:
         np.savez_compressed(file, vertices=made.vertices.float().numpy())
     write_text(path.with_suffix(".json"), json.dumps(made.label, indent=1) + "\n")
-
-
-def reality() -> RealitySettings:
-    """As in the blind sets."""
-    values = yaml.safe_load((CONF / "blind.yaml").read_text())["reality"]
-    values = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
-    values["newton_tolerance"] = float(values["newton_tolerance"])
-    return RealitySettings(**values, data=os.environ.get("TOILE_DATA", "data"))
 
 
 def row(scene: PlannedScene, runs: Path) -> dict[str, object]:
@@ -104,6 +94,14 @@ def row(scene: PlannedScene, runs: Path) -> dict[str, object]:
     # From the measured evidence, so that runs serve another calibration as well.
     chances = probabilities(evidence, Calibration.load())
     verdict = verdict_of(chances, {k: v for k, v in evidence.items() if k != UNKNOWN}, Calibration.load(), {})
+    with np.load(runs / scene.name / SCREENING_FILE) as stored:
+        seen = {
+            name: f"{name} {float(hindsight):.1f} / {float(gain):.2f}".replace("nan", "-")
+            for name, hindsight, gain in zip(
+                stored["names"].tolist(), stored["screening"], stored["foretold"], strict=True
+            )
+        }
+        hindsight = dict(zip(stored["names"].tolist(), stored["screening"].tolist(), strict=True))
     order = sorted(_MOVING, key=lambda name: -evidence[name])
     return {
         "scene": scene.name,
@@ -117,6 +115,8 @@ def row(scene: PlannedScene, runs: Path) -> dict[str, object]:
         "probability of the truth": f"{chances[truth]:.2f}" if truth in chances else "",
         "rank of its evidence": str(order.index(truth) + 1) if truth in order else "",
         "strongest that moves": f"{order[0]} {evidence[order[0]]:.1f}",
+        "truth: hindsight / foretold": seen.get(truth, ""),
+        "best in hindsight of those that move": seen[max(_MOVING, key=lambda name: hindsight[name])],
         "naive answer": report.protocol.naive,
     }
 
