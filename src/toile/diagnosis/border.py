@@ -7,6 +7,8 @@ with the distance from the principal point for a wrong focal length or a distort
 
 from __future__ import annotations
 
+import itertools
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,12 +24,18 @@ Array = NDArray[np.float64]
 
 # An edge drawn in whole pixels: deviations that a distance to it may have, near and far from it [px].
 _RASTER = (0.2, 0.27, 0.37, 0.5)
+# How far a normal is followed to both sides of the nearest edge: at least [px], and times its distance.
+_LEAST_REACH = 3.0
+_REACH = 2.5
+_STEPS = 100
 # Border points closer than this share their error [px].
 _CORRELATION = 12.0
 # Ragged masks, and templates that do not quite fit: deviations beyond those [px].
 _RAGGED = (0.75, 1.1, 1.6, 2.4, 3.5, 5.0)
 # A wrong mask is often ragged; a wrong camera leaves a smooth outline smooth, so there it counts against it.
 _RAGGED_AGAINST_CAMERA = 6.0
+# Effects may be this many times stronger than their prior deviations say.
+_STRENGTHS = (1.0, 3.0, 10.0)
 
 
 @dataclass(frozen=True)
@@ -63,12 +71,31 @@ def border(scene: Scene) -> Border:
     n = np.stack((tangent[:, 1], -tangent[:, 0]), 1)
     n /= np.linalg.norm(n, axis=1, keepdims=True)
     n *= -np.sign((n * np.concatenate(inner)).sum(1, keepdims=True))
-    mask = scene.masks[0].numpy() > 0.5
-    # Distance to the edge between pixels: half a pixel off the centres on both sides of it.
-    signed = np.where(mask, distance_transform_edt(mask) - 0.5, 0.5 - distance_transform_edt(~mask))
-    distances = map_coordinates(signed, [at[:, 1] - 0.5, at[:, 0] - 0.5], order=1, mode="nearest")
+    distances = _beyond(scene.masks[0].numpy() > 0.5, at, n)
     length = float(np.linalg.norm(tangent, axis=1).sum() / 2)
     return Border(at, n, distances, max(8.0, min(float(len(at)), length / _CORRELATION)))
+
+
+def _beyond(mask: NDArray[np.bool_], at: Array, normals: Array) -> Array:
+    """How far the mask reaches beyond border points (n,) [px], on the mean over what is ragged."""
+    # Distance to the edge between pixels: half a pixel off the centres on both sides of it.
+    signed = np.where(mask, distance_transform_edt(mask) - 0.5, 0.5 - distance_transform_edt(~mask))
+    nearest = _sample(signed, at)
+    # The nearest edge of a ragged mask is nearer than the mean one, which its length along the normal gives.
+    reach = np.maximum(_LEAST_REACH, _REACH * np.abs(nearest))
+    steps = (np.arange(_STEPS) + 0.5) / _STEPS * 2 - 1
+    away = nearest + steps[:, None] * reach
+    along = at + away[:, :, None] * normals
+    inside = _sample(mask.astype(np.float64), along.reshape(-1, 2)).reshape(away.shape)
+    mean = nearest + reach * (2 * inside.mean(0) - 1)
+    # Not at corners, where the normal passes the mask by.
+    ends = (inside[0] > 0.5) & (inside[-1] < 0.5)
+    return np.asarray(np.where(ends, mean, nearest))
+
+
+def _sample(image: Array, at: Array) -> Array:
+    """Values (n,) at pixels (n, 2)."""
+    return np.asarray(map_coordinates(image, [at[:, 1] - 0.5, at[:, 0] - 0.5], order=1, mode="nearest"))
 
 
 def border_columns(effect: Effect, scene: Scene, at: Border) -> Array:
@@ -116,15 +143,16 @@ def border_evidence(effect: Effect, scene: Scene, at: Border) -> BorderFit:
     if not columns.any():
         return BorderFit(0.0, np.zeros(columns.shape[1]), np.eye(columns.shape[1]))
     best: BorderFit | None = None
-    for noise, charge in noises:
-        H = np.eye(columns.shape[1]) + share * columns.T @ columns / noise**2
+    for strength, (noise, charge) in itertools.product(_STRENGTHS, noises):
+        J = strength * columns
+        H = np.eye(J.shape[1]) + share * J.T @ J / noise**2
         covariance = np.linalg.inv(H)
-        mean = covariance @ (share * columns.T @ at.distances / noise**2)
-        left = _log_likelihood(at.distances - columns @ mean, noise, share)
+        mean = covariance @ (share * J.T @ at.distances / noise**2)
+        left = _log_likelihood(at.distances - J @ mean, noise, share)
         value = left - 0.5 * float(mean @ mean) - 0.5 * float(np.linalg.slogdet(H)[1])
-        value -= charge
+        value -= charge + math.log(len(_STRENGTHS))
         if best is None or value - null > best.log_evidence:
-            best = BorderFit(value - null, mean, np.asarray(covariance, np.float64))
+            best = BorderFit(value - null, strength * mean, strength**2 * np.asarray(covariance, np.float64))
     assert best is not None
     return best
 

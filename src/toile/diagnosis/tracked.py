@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from toile.diagnosis.model_grid import ModelGrid
-from toile.fitting.gauss_newton.recipe import Stage, TrackingRecipe, visible
+from toile.fitting.gauss_newton.recipe import SlidingWindows, Stage, TrackingRecipe, Windows, visible
 from toile.fitting.reconstruction import Reconstruction
 from toile.fitting.terms.image_features import contrast_features
 from toile.fitting.terms.texture_points import PointTermSettings, TexturePointTerm, grid_points
@@ -61,11 +61,36 @@ class CoarseTracking:
         blur: σ of the pre-blur [px].
         per_side: points along each side of the cloth.
         cg_iterations: per window.
+        fine_stride: frames by which the fine pass advances, whose start is close already.
     """
 
     blur: float = 10.0
     per_side: int = 32
     cg_iterations: int = 15
+    fine_stride: int = 2
+
+
+class StopAt(Windows):
+    """Windows of which one ends at a given frame, so that frames up to it know nothing of later ones.
+
+    Args:
+        windows: any, in the order of their ends.
+        frame: at which one ends.
+    """
+
+    def __init__(self, windows: Windows, frame: int) -> None:
+        self.windows = windows
+        self.frame = frame
+
+    def plan(self, n_frames: int) -> list[tuple[int, int]]:
+        """See Windows."""
+        plan: list[tuple[int, int]] = []
+        for first, last in self.windows.plan(n_frames):
+            if last > self.frame and (not plan or plan[-1][1] < self.frame):
+                # As long as the window that goes past it.
+                plan.append((max(0, first - last + self.frame), self.frame))
+            plan.append((first, last))
+        return plan
 
 
 def track(
@@ -86,11 +111,15 @@ def track(
         used: frames.
         report: called with the frames covered and the share that is done.
     """
-    fine = recipe.stages[-1]
+    last = recipe.stages[-1]
+    fine = replace(last, windows=StopAt(last.windows, used - 1))
     first: Stage | None = None
     if coarse is not None:
         term = replace(point_settings(recipe), blur=coarse.blur, per_side=coarse.per_side)
         first = replace(fine, term=term, cg_iterations=coarse.cg_iterations)
+        if isinstance(last.windows, SlidingWindows):
+            skipping = SlidingWindows(last.windows.lag, coarse.fine_stride, last.windows.repeats)
+            fine = replace(fine, windows=StopAt(skipping, used - 1))
     tracking = TrackingRecipe({"coarse": first, "fine": fine})
     tracking.start(reconstruction)
     n = tracking.n_cycles(reconstruction)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
-from scipy.ndimage import binary_dilation, binary_erosion
+from scipy.ndimage import binary_dilation, binary_erosion, distance_transform_edt, gaussian_filter
 
 from toile.diagnosis.border import border, border_evidence
 from toile.effects.catalogue import CATALOGUE
@@ -61,3 +62,38 @@ def test_a_wrong_focal_length(scene: Scene) -> None:
     assert max(found, key=lambda name: found[name]) == "focal_error"
     fit = border_evidence(CATALOGUE["focal_error"](), wrong, border(wrong))
     assert float(fit.mean[0]) * CATALOGUE["focal_error"]().scales[0] == pytest.approx(0.06, abs=0.01)
+
+
+def test_a_mask_far_too_wide(scene: Scene) -> None:
+    """Many prior deviations away, and still neither camera nor lens."""
+    masks = torch.from_numpy(binary_dilation(scene.masks[0].numpy() > 0.5, iterations=9)).float()
+    found = evidence(replace(scene, masks=masks[None].expand_as(scene.masks)))
+    assert max(found, key=lambda name: found[name]) == "mask_bias"
+
+
+def test_a_ragged_mask_counts_by_its_mean(scene: Scene) -> None:
+    """Its nearest edges are nearer than that. Pixels whose distance is up to 6 reach 5.5 beyond the edge."""
+    mask = scene.masks[0].numpy() > 0.5
+    noise = gaussian_filter(np.random.default_rng(0).standard_normal(mask.shape), 3.0)
+    ragged = distance_transform_edt(~mask) <= 6.0 * (1 + 0.5 * noise / noise.std())
+    masks = torch.from_numpy(mask | ragged).float()
+    wrong = replace(scene, masks=masks[None].expand_as(scene.masks))
+    assert float(border(wrong).distances.mean()) == pytest.approx(5.5, abs=0.8)
+    effect = CATALOGUE["mask_bias"]()
+    fit = border_evidence(effect, wrong, border(wrong))
+    assert float(fit.mean[0] * effect.scales[0]) == pytest.approx(5.5, abs=0.8)
+
+
+def test_a_lens_many_prior_deviations_from_none(scene: Scene) -> None:
+    effect = CATALOGUE["lens_distortion"]().with_values(torch.tensor([-0.6, 0.0], dtype=torch.float64))
+    axes = [torch.arange(n, dtype=torch.float64) + 0.5 for n in scene.masks[0].shape]
+    rows, columns = torch.meshgrid(*axes, indexing="ij")
+    seen = effect.pixels(torch.stack((columns, rows), -1).reshape(-1, 2), scene.camera)
+    shape = scene.masks[0].shape
+    mask = np.zeros(shape)
+    at = seen[(scene.masks[0] > 0.5).reshape(-1)].floor().long().numpy()
+    mask[at[:, 1].clip(0, shape[0] - 1), at[:, 0].clip(0, shape[1] - 1)] = 1
+    mask = binary_erosion(binary_dilation(mask > 0.5), iterations=1)
+    masks = torch.from_numpy(mask).float()
+    found = evidence(replace(scene, masks=masks[None].expand_as(scene.masks)))
+    assert max(found, key=lambda name: found[name]) == "lens_distortion"
