@@ -52,7 +52,7 @@ def read_case(run: Path, labels: dict[str, str]) -> Case:
         evidence = {}
         # From what was measured, so that runs with other weights serve as well.
         for name, hindsight, foretold in zip(
-            stored["names"].tolist(), stored["screening"], stored["foretold"], strict=True
+            stored["names"].tolist(), stored["hindsight"], stored["foretold"], strict=True
         ):
             moves = isinstance(CATALOGUE[name](), FORCES)
             gain = 0.0 if np.isnan(foretold) else float(foretold)

@@ -98,10 +98,10 @@ def row(scene: PlannedScene, runs: Path) -> dict[str, object]:
         seen = {
             name: f"{name} {float(hindsight):.1f} / {float(gain):.2f}".replace("nan", "-")
             for name, hindsight, gain in zip(
-                stored["names"].tolist(), stored["screening"], stored["foretold"], strict=True
+                stored["names"].tolist(), stored["hindsight"], stored["foretold"], strict=True
             )
         }
-        hindsight = dict(zip(stored["names"].tolist(), stored["screening"].tolist(), strict=True))
+        hindsight = dict(zip(stored["names"].tolist(), stored["hindsight"].tolist(), strict=True))
     order = sorted(_MOVING, key=lambda name: -evidence[name])
     return {
         "scene": scene.name,

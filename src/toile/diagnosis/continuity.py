@@ -10,7 +10,7 @@ it is Gaussian with the deviation of a jump, and that end depends on all unknown
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -70,6 +70,16 @@ class WindowSystem:
     external: NDArray[np.bool_]
     fitted: Discrepancy
     link: Link | None = None
+
+    def with_shared(self, kept: Sequence[int]) -> WindowSystem:
+        """The same with some of the shared columns."""
+        n = len(self.gradient) - len(self.white)
+        at = np.array([*kept, *range(n, len(self.gradient))])
+        link = self.link
+        if link is not None:
+            before = np.array([*kept, *range(n, link.before.shape[1])])
+            link = replace(link, before=link.before[:, before])
+        return replace(self, matrix=self.matrix[np.ix_(at, at)], gradient=self.gradient[at], link=link)
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -17,12 +17,20 @@ from toile.diagnosis.border import BorderFit, border, border_evidence
 from toile.diagnosis.colours import ColourFit, brightness_evidence, colours
 from toile.diagnosis.continuity import Discrepancy
 from toile.diagnosis.decision import UNKNOWN, Calibration, Weights, probabilities
-from toile.diagnosis.findings import Finding, estimates, finding, mechanical_findings, naive_answer
+from toile.diagnosis.findings import (
+    Finding,
+    Screening,
+    estimates,
+    finding,
+    mechanical_findings,
+    naive_answer,
+)
 from toile.diagnosis.gap_maps import gap_maps, stage_shares
 from toile.diagnosis.grip import SlipFit, slip_evidence
-from toile.diagnosis.mechanics import analyse_mechanics
+from toile.diagnosis.mechanics import Mechanics, analyse_mechanics
 from toile.diagnosis.model_grid import model_grids
 from toile.diagnosis.numerics import time_step_error
+from toile.diagnosis.refits import Refit, refit, settled
 from toile.diagnosis.sharpness import ExposureFit, exposure_evidence, smear
 from toile.diagnosis.shooting import ShootingSettings
 from toile.diagnosis.shrinkage import held_out_shrinks, prediction_gains
@@ -47,6 +55,11 @@ SCREENING_FILE = "screening.npz"
 HELD_OUT_FILE = "held_out.npz"
 """Predicted positions of the held-out frames on the scene's grid, by what was in the model."""
 
+# First-order log evidence from which on an effect is refitted.
+_PROMISING = -3.0
+# Log evidence by which it may lie behind the base model after a pass and still have another.
+_HOPELESS = 3.0
+
 
 @dataclass(frozen=True)
 class DiagnosisSettings:
@@ -60,7 +73,9 @@ class DiagnosisSettings:
         stiffness: start values Y [N/m], S per cell area [N/m] and B [N·m]: the same fabric on every grid.
         longest_substep: of the base model [s].
         usual_discrepancy: that a right model still needs; beyond it something is missing.
-        foretold: effects whose prediction of fitted windows from the ones before is measured.
+        refitted: effects that move the cloth which are fitted on their own, the most promising first.
+        refit_passes: of each at most.
+        settling_passes: of the base model at most, with forces of the size that it needs.
         weights: what evidence from fitted windows and that prediction count for.
         compared: effects whose prediction of held-out frames is measured.
         placebos: force fields without meaning that are fitted and predicted beside them.
@@ -74,7 +89,9 @@ class DiagnosisSettings:
     stiffness: tuple[float, float, float] = (850.0, 2.8, 5.3e-5)
     longest_substep: float = 0.005
     usual_discrepancy: Discrepancy = field(default_factory=lambda: Discrepancy(1.6, 0.1))
-    foretold: int = 4
+    refitted: int = 6
+    refit_passes: int = 2
+    settling_passes: int = 4
     weights: Weights = field(default_factory=Weights)
     compared: int = 3
     placebos: int = 3
@@ -141,33 +158,40 @@ def diagnose(
             used,
             count,
         )
-    screened = mechanical_findings(mechanics, settings.usual_discrepancy)
-    findings.update(screened.findings)
+    progress("base model, settled", 0.85)
+    with times.stage("refits"):
+        usual = settings.usual_discrepancy
+        best = settled(mechanics, scene.camera, usual, settings.settling_passes)
+        screened = mechanical_findings(best, usual)
+        base, refits = _refitted(best, screened, settings, progress)
+    for name, screening in screened.findings.items():
+        if name in refits:
+            model = refits[name]
+            gained = model.log_evidence - base.log_evidence
+            findings[name] = finding(mechanics.effects[name], gained, model.mean, model.covariance)
+        else:
+            # What has not been tried speaks for nothing.
+            findings[name] = replace(screening, log_evidence=min(screening.log_evidence, 0.0))
     calibration = Calibration.load()
-    # What explains nothing in hindsight is not asked what it foretells.
-    moving = sorted(
-        (name for name, found in screened.findings.items() if found.log_evidence > 0),
-        key=lambda name: -calibration.score(name, findings[name].log_evidence),
-    )
-    progress("what the effects foretell", 0.86)
+    progress("what the effects foretell", 0.92)
     with times.stage("foretelling"):
-        gains = prediction_gains(mechanics, moving[: settings.foretold], findings, settings.usual_discrepancy)
+        gains = prediction_gains(mechanics, base, refits)
     evidence = {name: found.log_evidence for name, found in findings.items()}
-    for name, found in screened.findings.items():
-        evidence[name] = settings.weights.combined(found.log_evidence, gains.get(name, 0.0))
+    for name in screened.findings:
+        evidence[name] = settings.weights.combined(findings[name].log_evidence, gains.get(name, 0.0))
     # What is unknown foretells nothing, better or worse.
-    unknown = settings.weights.combined(screened.unknown, 0.0)
+    unknown = settings.weights.combined(base.unknown, 0.0)
     chances = probabilities({**evidence, UNKNOWN: unknown}, calibration)
     ranked = [name for name in chances if name in findings]
-    progress("held-out frames", 0.87)
+    progress("held-out frames", 0.95)
     with times.stage("held-out frames"):
+        compared = [name for name in ranked if name in refits][: settings.compared]
         held_out = held_out_shrinks(
             mechanics,
-            [name for name in ranked if name in screened.findings][: settings.compared],
-            findings,
+            base,
+            {name: refits[name] for name in compared},
             used=used,
             horizon=settings.shooting.window,
-            discrepancy=settings.usual_discrepancy,
             n_placebos=settings.placebos,
             seed=settings.seed,
         )
@@ -191,10 +215,13 @@ def diagnose(
         {
             "names": np.array(list(evidence)),
             "log_evidence": np.array(list(evidence.values())),
-            "screening": np.array([found.log_evidence for found in findings.values()]),
+            "first_order": np.array(
+                [screened.findings[n].log_evidence if n in screened.findings else np.nan for n in findings]
+            ),
+            "hindsight": np.array([found.log_evidence for found in findings.values()]),
             "foretold": np.array([gains.get(name, np.nan) for name in findings]),
-            "unknown": np.array(screened.unknown),
-            "discrepancy": np.array(screened.discrepancy),  # internal, external
+            "unknown": np.array(base.unknown),
+            "discrepancy": np.array(base.discrepancy),  # internal, external
             "base": mechanics.fit.values,
             "time_step_error": np.array(step_error),
             "costs": np.array(mechanics.fit.history),
@@ -214,7 +241,7 @@ def diagnose(
             )
             for name in ranked
         ),
-        alias_of(mechanics, screened.discrepancy, calibration),
+        alias_of(best, base.discrepancy, calibration),
         Protocol(
             settings.seed,
             tuple(range(used)),
@@ -249,6 +276,24 @@ def _still_findings(
             continue
         findings[effect.NAME] = finding(effect, fit.log_evidence, fit.mean, fit.covariance)
     return findings
+
+
+def _refitted(
+    mechanics: Mechanics, screened: Screening, settings: DiagnosisSettings, progress: Progress
+) -> tuple[Refit, dict[str, Refit]]:
+    """The base model and the most promising effects at their best."""
+    usual, passes = settings.usual_discrepancy, settings.refit_passes
+    promise = {name: found.log_evidence for name, found in screened.findings.items()}
+    names = [name for name in sorted(promise, key=lambda name: -promise[name]) if screened.free[name]]
+    names = [name for name in names if promise[name] > _PROMISING][: settings.refitted]
+    # As many passes as the effects have, so that what any pass brings is not theirs.
+    base = refit(mechanics, None, (), usual, passes)
+    hopeless = base.log_evidence - _HOPELESS
+    refits = {}
+    for index, name in enumerate(names):
+        progress(f"refit with {name}", 0.86 + 0.06 * index / len(names))
+        refits[name] = refit(mechanics, mechanics.effects[name], screened.free[name], usual, passes, hopeless)
+    return base, refits
 
 
 def _tracked_positions(

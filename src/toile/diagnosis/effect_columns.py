@@ -1,7 +1,7 @@
 """What an effect does to first order: forces, or apparent displacements, per unit of each of its numbers.
 
-An effect acts through one hook; its derivative at zero on the known motion is all that screening needs. It
-comes from torch, so a new effect needs nothing here.
+An effect acts through one hook; its derivative on the known motion, at the numbers that the effect has, is
+all that the diagnosis needs. It comes from torch, so a new effect needs nothing here.
 """
 
 from __future__ import annotations
@@ -61,12 +61,12 @@ class Instant:
 
 
 def derivatives(function: Callable[[Effect], Tensor], effect: Effect) -> Array:
-    """Derivatives of a tensor (...) by every number of an effect at zero, per prior deviation, (n, ...).
+    """Derivatives of a tensor (...) by every number of an effect, per prior deviation, (n, ...).
 
     Columns of the Jacobian by two reverse passes: Jᵀw is linear in w, and its derivative by w is J.
     """
     scales = effect.scales
-    white = torch.zeros_like(scales).requires_grad_()
+    white = (effect.values / scales).detach().clone().requires_grad_()
     with torch.enable_grad():
         value = function(effect.with_values(white * scales))
         if not value.requires_grad:
@@ -82,7 +82,7 @@ def derivatives(function: Callable[[Effect], Tensor], effect: Effect) -> Array:
 
 
 def force_columns(effect: Effect, instant: Instant, around: Surroundings) -> Array:
-    """Force (n_parameters, N, 3) [N] per prior deviation of every parameter, at zero.
+    """Force (n_parameters, N, 3) [N] per prior deviation of every parameter.
 
     Raises:
         TypeError: the effect does not act through forces.
@@ -131,7 +131,7 @@ def force_columns(effect: Effect, instant: Instant, around: Surroundings) -> Arr
 
 
 def apparent_columns(effect: CameraEffect, positions: Array, template: Array, camera: Camera) -> Array:
-    """Apparent displacement (n_parameters, N, 3) [m] per prior deviation, at zero.
+    """Apparent displacement (n_parameters, N, 3) [m] per prior deviation.
 
     Points take their colours from where the nominal camera sees the template in frame 0, so a wrong camera
     shows in what differs from frame 0.

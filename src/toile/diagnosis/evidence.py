@@ -31,6 +31,7 @@ class Posterior:
         discrepancy: that one.
         mean, covariance: of the effect's numbers, in units of their prior deviations, (n,), (n, n).
         columns: which columns those are.
+        slack: deviation of the numbers a priori, in the same units.
     """
 
     log_evidence: float
@@ -38,6 +39,7 @@ class Posterior:
     mean: Array
     covariance: Array
     columns: tuple[int, ...]
+    slack: float = 1.0
 
 
 INTERNAL = (0.0125, 0.025, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
@@ -56,10 +58,16 @@ class Evidence:
         values: base values of the fit (n_base,).
         deviations: their prior deviations.
         slack: factor on the prior deviations of an effect's numbers.
+        numbers: of the effects around which the systems are, in prior deviations; None for zeros.
     """
 
     def __init__(
-        self, systems: Sequence[WindowSystem], values: Array, deviations: Array, slack: float = 1.5
+        self,
+        systems: Sequence[WindowSystem],
+        values: Array,
+        deviations: Array,
+        slack: float = 1.5,
+        numbers: Array | None = None,
     ) -> None:
         self.systems = list(systems)
         self.n_base = len(values)
@@ -67,6 +75,7 @@ class Evidence:
         self.deviations = deviations
         self.slack = slack
         self.n_shared = len(systems[0].gradient) - len(systems[0].white)
+        self.numbers = np.zeros(self.n_shared - self.n_base) if numbers is None else numbers
         self.reduced: dict[Discrepancy, Reduced] = {
             size: Joined(systems, size).reduced for size in DISCREPANCIES
         }
@@ -102,7 +111,7 @@ class Evidence:
             chosen = [columns[i] for i in sorted((*subset, *free))]
             if not chosen:
                 continue
-            found = self._scaled(chosen, largest)
+            found = self.scaled(chosen, largest)
             tried += 1
             low = np.array([lowest[list(columns).index(c)] for c in found.columns])
             if (found.mean < low).any():
@@ -122,7 +131,7 @@ class Evidence:
             best.columns,
         )
 
-    def _scaled(self, columns: Sequence[int], largest: Discrepancy) -> Posterior:
+    def scaled(self, columns: Sequence[int], largest: Discrepancy) -> Posterior:
         """The posterior; where an effect has many numbers, at their best common scale, which is charged.
 
         Each of many numbers is charged for its prior's width, so a width that is too large by far hides a
@@ -148,32 +157,46 @@ class Evidence:
         C = reduced.matrix[:b, b:]
         return np.asarray(reduced.matrix[b:, b:] - C.T @ np.linalg.solve(A, C))
 
-    def given(self, columns: Sequence[int], numbers: Array, size: Discrepancy) -> tuple[Array, list[Array]]:
-        """Base values, and changes of every window's local columns, where the effect's numbers are given.
+    def towards(
+        self, best: Posterior, length: float, longest: Array
+    ) -> tuple[Array, Array, list[Array], float]:
+        """Some of the way to where a posterior has its mean.
 
         Args:
-            columns: of the effect.
-            numbers: in units of their prior deviations.
-            size: of the discrepancy, taken to the next one that was tried.
+            best: see posterior.
+            length: share of the way.
+            longest: change of the base values at most (n_base,).
+
+        Returns:
+            Base values, the effect's numbers, changes of every window's local columns (which go all the way
+            that suits the others), and the share that was gone.
         """
-        size = _tried(size)
-        reduced, b, n = self.reduced[size], self.n_base, self.n_shared
-        given = np.zeros(n)
-        given[list(columns)] = numbers
+        shared = self._shared(best.columns, best.mean, best.discrepancy)
+        length *= min(1.0, float((longest / np.maximum(np.abs(shared[: self.n_base]), 1e-9)).min()))
+        changes = Joined(self.systems, best.discrepancy).locals(length * shared)
+        at = [c - self.n_base for c in best.columns]
+        numbers = self.numbers[at] + length * (best.mean - self.numbers[at])
+        return self.values + length * shared[: self.n_base], numbers, changes, length
+
+    def _shared(self, columns: Sequence[int], numbers: Array, size: Discrepancy) -> Array:
+        """Change of the shared unknowns where the effect's numbers are given and the base suits them."""
+        reduced, b = self.reduced[size], self.n_base
+        shared = np.zeros(self.n_shared)
+        shared[list(columns)] = numbers - self.numbers[[c - b for c in columns]]
         H = reduced.matrix[:b, :b] + np.diag(self.deviations**-2)
-        right = reduced.right[:b] - reduced.matrix[:b] @ given - self.values / self.deviations**2
-        given[:b] = np.linalg.solve(H, right)
-        return self.values + given[:b], Joined(self.systems, size).locals(given)
+        right = reduced.right[:b] - reduced.matrix[:b] @ shared - self.values / self.deviations**2
+        shared[:b] = np.linalg.solve(H, right)
+        return shared
 
     def _at(
         self, columns: Sequence[int], size: Discrepancy, slack: float | None = None, *, charge: bool = True
     ) -> Posterior:
         reduced = self.reduced[size]
         index = np.array([*range(self.n_base), *columns], int)
-        scale = np.concatenate(
-            (self.deviations, np.full(len(columns), self.slack if slack is None else slack))
-        )
-        mean = np.concatenate((self.values / self.deviations, np.zeros(len(columns))))
+        slack = self.slack if slack is None else slack
+        scale = np.concatenate((self.deviations, np.full(len(columns), slack)))
+        numbers = self.numbers[[c - self.n_base for c in columns]]
+        mean = np.concatenate((self.values / self.deviations, numbers / slack))
         H = np.eye(len(index)) + scale[:, None] * reduced.matrix[np.ix_(index, index)] * scale
         factor = positive_factor(H)
         right = scale * reduced.right[index] - mean
@@ -183,7 +206,8 @@ class Evidence:
             value -= np.log(np.diag(factor[0])).sum()
         covariance = scale[:, None] * cho_solve(factor, np.diag(scale))
         b = self.n_base
-        return Posterior(float(value), size, (scale * white)[b:], covariance[b:, b:], tuple(columns))
+        found = numbers + (scale * white)[b:]
+        return Posterior(float(value), size, found, covariance[b:, b:], tuple(columns), slack)
 
 
 def _within(size: Discrepancy, largest: Discrepancy) -> bool:

@@ -45,17 +45,15 @@ def finding(effect: Effect, log_evidence: float, mean: Array, covariance: Array)
 
 @dataclass(frozen=True)
 class Screening:
-    """What the motion says.
+    """What the motion says to first order around the base fit.
 
     Attributes:
         findings: of effects that move the cloth.
-        discrepancy: size of the forces that the base model lacks.
-        unknown: log evidence that forces beyond the usual are missing.
+        free: which numbers of each are not at their bounds.
     """
 
     findings: dict[str, Finding]
-    discrepancy: Discrepancy
-    unknown: float
+    free: dict[str, tuple[int, ...]]
 
 
 def mechanical_findings(mechanics: Mechanics, usual: Discrepancy) -> Screening:
@@ -70,8 +68,8 @@ def mechanical_findings(mechanics: Mechanics, usual: Discrepancy) -> Screening:
     """
     evidence = mechanics.evidence
     base = evidence.posterior((), usual)
-    free = evidence.posterior(())
     findings: dict[str, Finding] = {}
+    free: dict[str, tuple[int, ...]] = {}
     for name, (a, b) in mechanics.columns.items():
         effect = mechanics.effects[name]
         if isinstance(effect, CameraEffect):
@@ -84,7 +82,8 @@ def mechanical_findings(mechanics: Mechanics, usual: Discrepancy) -> Screening:
         mean[at] = best.mean
         covariance[np.ix_(at, at)] = best.covariance
         findings[name] = finding(effect, best.log_evidence - base.log_evidence, mean, covariance)
-    return Screening(findings, free.discrepancy, free.log_evidence - base.log_evidence)
+        free[name] = tuple(at)
+    return Screening(findings, free)
 
 
 def naive_answer(mechanics: Mechanics, findings: Mapping[str, Finding]) -> str:

@@ -113,7 +113,12 @@ def analyse_mechanics(
         fit = fit_base(shooting, tracked.positions[0], start, n_frames, report, fit, passes)
     assert fit is not None
     around = Surroundings(grid.cloth, grid.cloth_size, torch.from_numpy(gravity), scene.fps, scene.n_frames)
-    acting = [effect for effect in effects if isinstance(effect, (*FORCES, CameraEffect))]
+    # At zero, whatever numbers a candidate comes with.
+    acting = [
+        effect.with_values(torch.zeros_like(effect.scales))
+        for effect in effects
+        if isinstance(effect, (*FORCES, CameraEffect))
+    ]
     # Columns of forces come first, see Shooting.normal.
     acting.sort(key=lambda effect: isinstance(effect, CameraEffect))
     columns, at = {}, 0
@@ -130,10 +135,21 @@ def effect_systems(
     fit: BaseFit,
     effects: Sequence[Effect],
     around: Surroundings,
-    camera: Camera,
+    camera: Camera | None,
     n_effects: int,
 ) -> list[WindowSystem]:
-    """Gauss-Newton systems of all windows with the columns of all effects."""
+    """Gauss-Newton systems of all windows with the columns of all effects, at their numbers.
+
+    The tangents leave out how an effect's own forces change with the motion; the gradient does not.
+
+    Args:
+        shooting: the problem.
+        fit: windows, with the effects or without, and base values.
+        effects: those that act through forces, then those of the camera.
+        around: the whole clip.
+        camera: nominal; needed with effects of the camera.
+        n_effects: numbers of all effects.
+    """
     base = fit.base
     of_base = base_columns(shooting, base)
     forces = [effect for effect in effects if isinstance(effect, FORCES)]
@@ -152,7 +168,7 @@ def effect_systems(
         return columns
 
     def seen(frame: int, positions: Array) -> Array:
-        found = [apparent_columns(e, positions, template, camera) for e in cameras]
+        found = [apparent_columns(e, positions, template, camera) for e in cameras if camera is not None]
         return np.concatenate(found) if found else np.zeros((0, *positions.shape))
 
     columns = [shared(window) for window in fit.windows]

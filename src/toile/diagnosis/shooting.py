@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from toile.cloth.cloth import Cloth
 from toile.cloth.material import Material
 from toile.cloth.state import State
+from toile.diagnosis.continuity import Discrepancy
 from toile.diagnosis.force_modes import external_first, n_balanced
 from toile.diagnosis.sensitivities import Columns, KnownMotion, StepForces
 from toile.diagnosis.tracked import Tracked
@@ -315,13 +316,26 @@ class Shooting:
         """Negative log-posterior of a window's images and local unknowns, up to a constant."""
         return self.image_cost(window) + 0.5 * float(window.white @ window.white)
 
-    def clip_cost(self, windows: Sequence[WindowMotion]) -> float:
-        """Negative log-posterior of windows that follow one another, up to a constant."""
-        total = self.cost(windows[0])
-        for before, window in pairwise(windows):
-            jump, own = self.jump(before, window), window.white[2 * self.n_fields :]
+    def clip_cost(self, windows: Sequence[WindowMotion], size: Discrepancy | None = None) -> float:
+        """Negative log-posterior of windows that follow one another, up to a constant.
+
+        Args:
+            windows: simulated.
+            size: of the discrepancy; None for that of the base fit.
+        """
+        white = [self._white_at(window, size) for window in windows]
+        total = self.image_cost(windows[0]) + 0.5 * float(white[0] @ white[0])
+        for (before, window), local in zip(pairwise(windows), white[1:], strict=True):
+            jump, own = self.jump(before, window), local[2 * self.n_fields :]
             total += self.image_cost(window) + 0.5 * float(jump @ jump + own @ own)
         return total
+
+    def _white_at(self, window: WindowMotion, size: Discrepancy | None) -> Array:
+        """Local unknowns in units of their deviations at a size of the discrepancy."""
+        if size is None:
+            return window.white
+        s, n = self.settings, window.last - window.first
+        return window.white * self.deviations(n, s.force, s.external) / self.deviations(n, *size)
 
     def jump(self, before: WindowMotion, window: WindowMotion) -> Array:
         """Modes of positions and velocities between an end and the next start, in deviations."""

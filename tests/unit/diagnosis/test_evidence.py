@@ -85,26 +85,29 @@ def test_where_forces_are_missing_the_discrepancy_grows(kind: int) -> None:
     assert len(data) == 2
 
 
-def test_given_numbers_leave_the_least_of_the_rest() -> None:
-    """Base and local unknowns for a given effect minimise the same quadratic."""
+def test_all_the_way_to_the_mean_nothing_costs_less() -> None:
+    """Base, effect and local unknowns together."""
     systems, _, _ = problem(3, 0.5)
     evidence = Evidence(systems, np.zeros(2), np.ones(2))
-    values, changes = evidence.given((2,), np.array([0.5]), SIZE)
+    best = evidence.posterior((2,))
+    values, numbers, changes, length = evidence.towards(best, 1.0, np.full(2, np.inf))
+    assert length == 1.0
 
-    def cost(base: np.ndarray, local: list[np.ndarray]) -> float:
-        total = 0.5 * float(base @ base)
+    def cost(base: np.ndarray, own: np.ndarray, local: list[np.ndarray]) -> float:
+        total = 0.5 * float(base @ base) + 0.5 * float(own @ own) / best.slack**2
         for s, moved in zip(systems, local, strict=True):
-            full = np.concatenate((base, [0.5, 0.0], moved))
+            full = np.concatenate((base, own, [0.0], moved))
             total += float(0.5 * full @ s.matrix @ full + s.gradient @ full)
-            white = moved / np.array([1, 1, 1, *SIZE])
+            white = moved / np.array([1, 1, 1, *best.discrepancy])
             total += 0.5 * float(white @ white)
         return total
 
-    best = cost(values, changes)
+    least = cost(values, numbers, changes)
     rng = np.random.default_rng(0)
     for _ in range(20):
         moved = [c + 1e-2 * rng.normal(size=c.shape) for c in changes]
-        assert cost(values + 1e-2 * rng.normal(size=2), moved) > best
+        base = values + 1e-2 * rng.normal(size=2)
+        assert cost(base, numbers + 1e-2 * rng.normal(size=1), moved) > least
 
 
 def test_many_small_numbers_are_found_at_their_own_scale() -> None:
@@ -126,3 +129,44 @@ def test_many_small_numbers_are_found_at_their_own_scale() -> None:
         found[size] = scanned, evidence.posterior(columns).log_evidence - base
     assert found[0.0][0] < 0
     assert found[0.05][1] < 0 < found[0.05][0] - 3
+
+
+def test_evidence_does_not_depend_on_where_a_quadratic_is_developed() -> None:
+    """Around other base values, numbers of the effect and local unknowns, with their cost beside."""
+    systems, _, _ = problem(4, 0.5)
+    rng = np.random.default_rng(0)
+    deviations, at = np.array([1.0, 2.0]), rng.normal(size=4)
+    values, numbers = at[:2], at[2:]
+    moved, cost = [], 0.0
+    for s in systems:
+        white = rng.normal(size=5)
+        step = np.concatenate((at, white * np.array([1, 1, 1, *SIZE])))
+        cost += 0.5 * step @ s.matrix @ step + s.gradient @ step
+        moved.append(replace(s, gradient=s.gradient + s.matrix @ step, white=white))
+    here = Evidence(systems, np.zeros(2), deviations)
+    there = Evidence(moved, values, deviations, numbers=numbers)
+    a, b = here.posterior((2, 3)), there.posterior((2, 3))
+    assert b.log_evidence - cost == pytest.approx(a.log_evidence, abs=1e-8)
+    np.testing.assert_allclose(b.mean, a.mean, atol=1e-8)
+    np.testing.assert_allclose(b.covariance, a.covariance, atol=1e-8)
+
+
+def test_the_way_to_the_mean_is_gone_as_far_as_is_allowed() -> None:
+    systems, _, _ = problem(5, 0.5)
+    evidence = Evidence(systems, np.zeros(2), np.ones(2))
+    best = evidence.posterior((2, 3))
+    values, numbers, _, _ = evidence.towards(best, 1.0, np.full(2, np.inf))
+    np.testing.assert_allclose(numbers, best.mean)
+    limit = 0.25 * np.abs(values).max()
+    shorter, part, _, length = evidence.towards(best, 1.0, np.array([limit, limit]))
+    assert np.abs(shorter).max() == pytest.approx(limit)
+    assert length == pytest.approx(0.25)
+    np.testing.assert_allclose(part, 0.25 * best.mean)
+
+
+def test_some_of_the_shared_columns() -> None:
+    systems, _, _ = problem(6, 0.5)
+    whole = Evidence(systems, np.zeros(2), np.ones(2))
+    part = Evidence([s.with_shared((0, 1, 3)) for s in systems], np.zeros(2), np.ones(2))
+    assert part.posterior((2,)).log_evidence == pytest.approx(whole.posterior((3,)).log_evidence)
+    np.testing.assert_allclose(part.posterior((2,)).mean, whole.posterior((3,)).mean)

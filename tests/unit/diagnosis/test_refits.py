@@ -1,0 +1,100 @@
+"""Hypotheses at their own best fit: what is there grows, what only seemed to be there goes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from toile.cloth.cloth import grid_cloth
+from toile.cloth.material import Material
+from toile.cloth.state import State
+from toile.diagnosis.base_fit import N_BASE, base_deviations, fit_base
+from toile.diagnosis.continuity import Discrepancy
+from toile.diagnosis.evidence import Evidence
+from toile.diagnosis.findings import mechanical_findings
+from toile.diagnosis.mechanics import Mechanics, effect_systems
+from toile.diagnosis.refits import refit, settled
+from toile.diagnosis.shooting import Shooting, ShootingSettings
+from toile.diagnosis.tracked import Tracked
+from toile.effects.base import Surroundings
+from toile.effects.catalogue import CATALOGUE
+from toile.effects.setting import setting
+from toile.simulators.implicit.integrators import BDF2
+from toile.simulators.implicit.newton import NewtonSettings
+from toile.simulators.implicit.simulator import ImplicitSimulator
+from toile.simulators.rollout import rollout
+
+GRID = (7, 7)
+FRAMES, FPS, SUBSTEPS = 17, 25.0, 4
+STIFFNESS = np.array([400.0, 2e-3, 1e-4])
+GRAVITY = np.array([0.0, 9.81, 0.0])
+HORIZONTAL = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+USUAL = Discrepancy(0.4, 0.1)
+TRUE = {"bending": -3.0, "stretching": 0.0}
+NAMES = ("anisotropic_stiffness", "frame_rate", "air_drag")
+
+
+@pytest.fixture(scope="module")
+def mechanics() -> Mechanics:
+    """A cloth far stiffer against bending one way than the other swings down; its motion is known."""
+    cloth = grid_cloth(GRID, (0.3, 0.3), 0.15, (0, (GRID[0] - 1) * GRID[1]))
+    around = Surroundings(cloth, (0.3, 0.3), torch.from_numpy(GRAVITY), FPS, FRAMES)
+    i, j = torch.meshgrid(torch.arange(GRID[0]), torch.arange(GRID[1]), indexing="ij")
+    depth = 1 + 0.6 * j * 0.05 + 0.01 * torch.sin(1.1 * i)
+    start = torch.stack((0.94 * i * 0.05, 0.8 * j * 0.05, depth), -1).reshape(1, -1, 3).double()
+    anchors = start[:, cloth.held].expand(FRAMES, -1, -1)
+    effect = CATALOGUE["anisotropic_stiffness"]()
+    effect = effect.with_values(torch.tensor([TRUE[p.name] for p in effect.parameters], dtype=torch.float64))
+    given = setting((effect,), around, anchors)
+    h = 1 / FPS / SUBSTEPS
+    real = ImplicitSimulator(given.cloth, h, BDF2(), NewtonSettings(1e-8), given.terms)
+    k = torch.from_numpy(STIFFNESS)[:, None]
+    state = State.start(start, torch.zeros_like(start), h, real.n_past)
+    with torch.no_grad():
+        motion = rollout(
+            real, state, Material(k[0], k[1], k[2]), given.forces[None], given.anchors[None], SUBSTEPS
+        )
+    positions = motion.positions[0].numpy()
+    n = 3 * positions.shape[1]
+    seen = [np.eye(n, dtype=np.float32) / 0.002**2] * FRAMES
+    tracked = Tracked(positions, seen, np.zeros_like(positions), positions)
+    model = ImplicitSimulator(cloth, h, BDF2(), NewtonSettings(1e-3))
+    settings = ShootingSettings(modes=2, trust=1.0)
+    shooting = Shooting(
+        model, SUBSTEPS, GRAVITY, HORIZONTAL, GRID, positions[:, cloth.held.numpy()], tracked, settings
+    )
+    fit = fit_base(shooting, positions[0], STIFFNESS, FRAMES, lambda what, cost: None)
+    effects = [CATALOGUE[name]() for name in NAMES]
+    columns, at = {}, 0
+    for candidate in effects:
+        columns[candidate.NAME] = (at, at + len(candidate.scales))
+        at += len(candidate.scales)
+    systems = effect_systems(shooting, fit, effects, around, None, at)
+    evidence = Evidence(systems, fit.values, base_deviations(shooting))
+    assert evidence.n_base == N_BASE
+    found = Mechanics(shooting, fit, evidence, columns, {e.NAME: e for e in effects}, around)
+    return settled(found, None, USUAL, 3)
+
+
+def test_what_is_there_grows_and_what_is_not_goes(mechanics: Mechanics) -> None:
+    screened = mechanical_findings(mechanics, USUAL)
+    base = refit(mechanics, None, (), USUAL, 2)
+    gained = {}
+    for name in NAMES:
+        model = refit(mechanics, mechanics.effects[name], screened.free[name], USUAL, 2)
+        gained[name] = model.log_evidence - base.log_evidence
+        if name == "anisotropic_stiffness":
+            assert float(model.effects[0].value("bending")) < -1.0
+    first = {name: found.log_evidence for name, found in screened.findings.items()}
+    assert gained["anisotropic_stiffness"] > first["anisotropic_stiffness"] + 10 > 10
+    assert first["frame_rate"] > gained["frame_rate"] + 3
+    assert max(gained["frame_rate"], gained["air_drag"]) < 0.1 * gained["anisotropic_stiffness"]
+
+
+def test_the_hopeless_have_no_second_pass(mechanics: Mechanics) -> None:
+    screened = mechanical_findings(mechanics, USUAL)
+    name = "frame_rate"
+    one = refit(mechanics, mechanics.effects[name], screened.free[name], USUAL, 1)
+    stopped = refit(mechanics, mechanics.effects[name], screened.free[name], USUAL, 2, hopeless=np.inf)
+    assert stopped.log_evidence == one.log_evidence
