@@ -58,7 +58,7 @@ HELD_OUT_FILE = "held_out.npz"
 # First-order log evidence from which on an effect is refitted.
 _PROMISING = -3.0
 # Log evidence by which it may lie behind the base model after a pass and still have another.
-_HOPELESS = 3.0
+_HOPELESS = 15.0
 
 
 @dataclass(frozen=True)
