@@ -57,8 +57,8 @@ HELD_OUT_FILE = "held_out.npz"
 
 # First-order log evidence from which on an effect is refitted.
 _PROMISING = -3.0
-# Log evidence by which it may lie behind the base model after a pass and still have another.
-_HOPELESS = 15.0
+# Log evidence by which it may lie behind the base model after two passes and still have another.
+_HOPELESS = 10.0
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class DiagnosisSettings:
     longest_substep: float = 0.005
     usual_discrepancy: Discrepancy = field(default_factory=lambda: Discrepancy(1.6, 0.1))
     refitted: int = 6
-    refit_passes: int = 2
+    refit_passes: int = 3
     settling_passes: int = 4
     weights: Weights = field(default_factory=Weights)
     compared: int = 3

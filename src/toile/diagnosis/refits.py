@@ -31,6 +31,8 @@ Array = NDArray[np.float64]
 _LONGEST = np.array([0.7, 0.7, 0.7, 2.0, 2.0])
 # A pass that lowers the cost by less than this is the last one.
 _LITTLE = 2.0
+# Log evidence by which a pass may change it and be the last one.
+_SETTLED = 1.0
 # Lengths of a step that are tried, and by which factor they shrink.
 _TRIED = 4
 _SHORTER = 0.4
@@ -120,7 +122,7 @@ def refit(
         columns: numbers of the effect that are free, the others stay zero.
         usual: discrepancy of a right model; the hypothesis has to do with it.
         passes: at most.
-        hopeless: log evidence below which there are no more of them.
+        hopeless: log evidence below which there are no more than two of them.
     """
     shooting, fit, first = mechanics.shooting, mechanics.fit, mechanics.evidence
     n_base = first.n_base
@@ -133,6 +135,7 @@ def refit(
     evidence = Evidence(systems, values, first.deviations, first.slack)
     best = evidence.scaled(free, usual)
     acting: tuple[Effect, ...] = ()
+    now = best.log_evidence - _image_cost(mechanics, windows)
     for index in range(passes):
         moved = _step(mechanics, evidence, best, effect, windows, numbers)
         if moved is None:
@@ -152,7 +155,9 @@ def refit(
         )
         evidence = Evidence(systems, values, first.deviations, first.slack, numbers)
         best = evidence.scaled(free, usual)
-        if best.log_evidence - _image_cost(mechanics, windows) < hopeless:
+        before, now = now, best.log_evidence - _image_cost(mechanics, windows)
+        # The first pass may lead through places that are worse.
+        if index > 0 and (now < hopeless or abs(now - before) < _SETTLED):
             break
     any_size = evidence.scaled(free, _ANY)
     mean, covariance = np.zeros(n), np.zeros((n, n))
