@@ -89,7 +89,7 @@ class DiagnosisSettings:
     stiffness: tuple[float, float, float] = (850.0, 2.8, 5.3e-5)
     longest_substep: float = 0.005
     usual_discrepancy: Discrepancy = field(default_factory=lambda: Discrepancy(1.6, 0.1))
-    refitted: int = 6
+    refitted: int = 4
     refit_passes: int = 3
     settling_passes: int = 4
     weights: Weights = field(default_factory=Weights)
