@@ -27,6 +27,8 @@ from toile.effects.catalogue import CATALOGUE, MOVING, STAGES
 
 KINDS = (MOVING, (Stage.CAMERA, Stage.OBSERVATION), (Stage.APPEARANCE,))
 """Stages whose effects leave the same sort of trace: in the motion, in the outline, in the colours."""
+# Deviations of what is usual, at least: few scenes without effect show few of the ways to be misled.
+_LEAST, _LEAST_MOVING = 1.0, 2.0
 TARGET = Path(__file__).parent.parent / "src/toile/diagnosis/calibration.json"
 
 
@@ -77,15 +79,17 @@ def calibrate(cases: list[Case], source: str, before: Calibration | None = None)
     """Usual evidence from quiet scenes, or as it was before, the rest by the known answers' probability."""
     usual, spread = {}, {}
     for effect in STAGES:
-        values = [c.evidence[effect] for c in cases if effect in c.evidence and is_quiet(c, effect)]
+        # What speaks against an effect does not make it harder to believe where something speaks for it.
+        values = [max(c.evidence[effect], 0) for c in cases if effect in c.evidence and is_quiet(c, effect)]
         if len(values) >= 3:
             usual[effect] = float(np.mean(values))
-            spread[effect] = max(1.0, float(np.std(values, ddof=1)))
+            least = _LEAST_MOVING if STAGES[effect] in MOVING else _LEAST
+            spread[effect] = max(least, float(np.std(values, ddof=1)))
     quiet = [
         c.evidence[UNKNOWN] for c in cases if c.truth == NONE or STAGES.get(c.truth) not in (None, *MOVING)
     ]
     usual[UNKNOWN] = float(np.mean(quiet)) if quiet else 0.0
-    spread[UNKNOWN] = max(1.0, float(np.std(quiet, ddof=1))) if len(quiet) > 2 else 1.0
+    spread[UNKNOWN] = max(_LEAST_MOVING, float(np.std(quiet, ddof=1)) if len(quiet) > 2 else 0.0)
     if before is not None:
         usual, spread = dict(before.usual), dict(before.spread)
     best: tuple[float, Calibration] | None = None
@@ -93,7 +97,7 @@ def calibrate(cases: list[Case], source: str, before: Calibration | None = None)
         (0.5, 0.75, 1.0, 1.5), (1.5, 2.0, 2.5, 3.0, 4.0, 5.0), (1.5, 2.0, 3.0, 4.0, 5.0, 6.0)
     ):
         tried = Calibration(usual, spread, temperature, threshold, unknown, source)
-        score = sum(np.log(probabilities(c.evidence, tried).get(c.truth, 0.0) + 1e-3) for c in cases)
+        score = sum(np.log(probabilities(c.evidence, tried).get(c.truth, 0.0) + 1e-2) for c in cases)
         if best is None or score > best[0]:
             best = float(score), tried
     assert best is not None

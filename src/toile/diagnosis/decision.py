@@ -24,8 +24,8 @@ class Weights:
         farthest: logarithm beyond which better says nothing.
     """
 
-    hindsight: float = 0.3
-    most: float = 20.0
+    hindsight: float = 0.5
+    most: float = 60.0
     foresight: float = 20.0
     farthest: float = 0.5
 
