@@ -167,10 +167,10 @@ def diagnose(
     for name, screening in screened.findings.items():
         if name in refits:
             model = refits[name]
-            gained = model.log_evidence - base.log_evidence
+            gained = model.log_evidence - base.log_evidence - screened.charges[name]
             findings[name] = finding(mechanics.effects[name], gained, model.mean, model.covariance)
         else:
-            # What has not been tried speaks for nothing.
+            # What has not been tried, or could not keep its promise, speaks for nothing.
             findings[name] = replace(screening, log_evidence=min(screening.log_evidence, 0.0))
     calibration = Calibration.load()
     progress("what the effects foretell", 0.92)
@@ -180,7 +180,9 @@ def diagnose(
     for name in screened.findings:
         evidence[name] = settings.weights.combined(findings[name].log_evidence, gains.get(name, 0.0))
     # What is unknown foretells nothing, better or worse.
-    unknown = settings.weights.combined(base.unknown, 0.0)
+    missing = base.evidence.posterior(())
+    beyond = missing.log_evidence - base.evidence.posterior((), usual).log_evidence
+    unknown = settings.weights.combined(beyond, 0.0)
     chances = probabilities({**evidence, UNKNOWN: unknown}, calibration)
     ranked = [name for name in chances if name in findings]
     progress("held-out frames", 0.95)
@@ -220,8 +222,8 @@ def diagnose(
             ),
             "hindsight": np.array([found.log_evidence for found in findings.values()]),
             "foretold": np.array([gains.get(name, np.nan) for name in findings]),
-            "unknown": np.array(base.unknown),
-            "discrepancy": np.array(base.discrepancy),  # internal, external
+            "unknown": np.array(beyond),
+            "discrepancy": np.array(missing.discrepancy),  # internal, external
             "base": mechanics.fit.values,
             "time_step_error": np.array(step_error),
             "costs": np.array(mechanics.fit.history),
@@ -241,7 +243,7 @@ def diagnose(
             )
             for name in ranked
         ),
-        alias_of(best, base.discrepancy, calibration),
+        alias_of(best, missing.discrepancy, calibration),
         Protocol(
             settings.seed,
             tuple(range(used)),
@@ -292,7 +294,9 @@ def _refitted(
     refits = {}
     for index, name in enumerate(names):
         progress(f"refit with {name}", 0.86 + 0.06 * index / len(names))
-        refits[name] = refit(mechanics, mechanics.effects[name], screened.free[name], usual, passes, hopeless)
+        model = refit(mechanics, mechanics.effects[name], screened.free[name], usual, passes, hopeless)
+        if model.effects:
+            refits[name] = model
     return base, refits
 
 

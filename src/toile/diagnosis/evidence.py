@@ -39,7 +39,7 @@ class Posterior:
     mean: Array
     covariance: Array
     columns: tuple[int, ...]
-    slack: float = 1.0
+    slack: float
 
 
 INTERNAL = (0.0125, 0.025, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
@@ -76,9 +76,13 @@ class Evidence:
         self.slack = slack
         self.n_shared = len(systems[0].gradient) - len(systems[0].white)
         self.numbers = np.zeros(self.n_shared - self.n_base) if numbers is None else numbers
-        self.reduced: dict[Discrepancy, Reduced] = {
-            size: Joined(systems, size).reduced for size in DISCREPANCIES
-        }
+        self._reduced: dict[Discrepancy, Reduced] = {}
+
+    def reduced(self, size: Discrepancy) -> Reduced:
+        """The clip without local unknowns at a size of the discrepancy, kept."""
+        if size not in self._reduced:
+            self._reduced[size] = Joined(self.systems, size).reduced
+        return self._reduced[size]
 
     def posterior(
         self, columns: Sequence[int], largest: Discrepancy = ANY, slack: float | None = None
@@ -106,13 +110,11 @@ class Evidence:
         free = [i for i in range(len(columns)) if lowest[i] != 0]
         best: Posterior | None = None
         subsets = [c for r in range(len(bounded) + 1) for c in combinations(bounded, r)]
-        tried = 0
         for subset in subsets:
             chosen = [columns[i] for i in sorted((*subset, *free))]
             if not chosen:
                 continue
             found = self.scaled(chosen, largest)
-            tried += 1
             low = np.array([lowest[list(columns).index(c)] for c in found.columns])
             if (found.mean < low).any():
                 continue
@@ -120,16 +122,8 @@ class Evidence:
                 best = found
         if best is None:
             none = self.posterior((), largest)
-            return Posterior(
-                none.log_evidence - _FORBIDDEN, none.discrepancy, np.zeros(0), np.zeros((0, 0)), ()
-            )
-        return Posterior(
-            best.log_evidence - float(np.log(tried)),
-            best.discrepancy,
-            best.mean,
-            best.covariance,
-            best.columns,
-        )
+            return replace(none, log_evidence=none.log_evidence - _FORBIDDEN)
+        return replace(best, log_evidence=best.log_evidence - sign_charge(lowest))
 
     def scaled(self, columns: Sequence[int], largest: Discrepancy) -> Posterior:
         """The posterior; where an effect has many numbers, at their best common scale, which is charged.
@@ -151,7 +145,7 @@ class Evidence:
 
     def fisher(self, size: Discrepancy) -> Array:
         """Information on all effect columns with base, starts, anchors and discrepancy integrated out."""
-        reduced = self.reduced[size]
+        reduced = self.reduced(size)
         b = self.n_base
         A = reduced.matrix[:b, :b] + np.diag(self.deviations**-2)
         C = reduced.matrix[:b, b:]
@@ -180,7 +174,7 @@ class Evidence:
 
     def _shared(self, columns: Sequence[int], numbers: Array, size: Discrepancy) -> Array:
         """Change of the shared unknowns where the effect's numbers are given and the base suits them."""
-        reduced, b = self.reduced[size], self.n_base
+        reduced, b = self.reduced(size), self.n_base
         shared = np.zeros(self.n_shared)
         shared[list(columns)] = numbers - self.numbers[[c - b for c in columns]]
         H = reduced.matrix[:b, :b] + np.diag(self.deviations**-2)
@@ -191,7 +185,7 @@ class Evidence:
     def _at(
         self, columns: Sequence[int], size: Discrepancy, slack: float | None = None, *, charge: bool = True
     ) -> Posterior:
-        reduced = self.reduced[size]
+        reduced = self.reduced(size)
         index = np.array([*range(self.n_base), *columns], int)
         slack = self.slack if slack is None else slack
         scale = np.concatenate((self.deviations, np.full(len(columns), slack)))
@@ -208,6 +202,16 @@ class Evidence:
         b = self.n_base
         found = numbers + (scale * white)[b:]
         return Posterior(float(value), size, found, covariance[b:, b:], tuple(columns), slack)
+
+
+def sign_charge(lowest: Array) -> float:
+    """What an effect is charged for the choice of numbers that are not at their bounds, see Evidence.signed.
+
+    Args:
+        lowest: 0 where a number cannot be negative, -inf elsewhere.
+    """
+    n = int((lowest == 0).sum())
+    return float(np.log(2**n - (n == len(lowest))))
 
 
 def _within(size: Discrepancy, largest: Discrepancy) -> bool:

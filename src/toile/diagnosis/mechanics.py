@@ -154,6 +154,8 @@ def effect_systems(
     of_base = base_columns(shooting, base)
     forces = [effect for effect in effects if isinstance(effect, FORCES)]
     cameras = [effect for effect in effects if isinstance(effect, CameraEffect)]
+    if cameras and camera is None:
+        raise ValueError("effects of the camera need the nominal one")
     template = shooting.tracked.positions[0]
     acceleration = shooting.gravity + base.wind @ shooting.horizontal
     h = shooting.simulator.time_step

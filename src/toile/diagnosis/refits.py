@@ -43,30 +43,33 @@ class Refit:
     """A hypothesis at its best fit.
 
     Attributes:
-        effects: in the model with their numbers, one or none.
-        start_stiffness: (3,) that the base's logarithms refer to.
-        values: of the base (5,).
+        effects: in the model with their numbers, one or none. None as well where no step with the effect
+            lowered the cost: what it promised to first order is not there.
+        base: stiffness and wind.
         windows: simulated.
+        evidence: of hypotheses around there.
         log_evidence: means something beside that of another hypothesis on the same clip.
         mean, covariance: of the effect's numbers in prior deviations (n,), (n, n).
-        unknown: log evidence of forces beyond the usual ones.
-        discrepancy: size of the forces beside the effect, however large.
     """
 
     effects: tuple[Effect, ...]
-    start_stiffness: Array
-    values: Array
+    base: Base
     windows: list[WindowMotion]
+    evidence: Evidence
     log_evidence: float
     mean: Array
     covariance: Array
-    unknown: float
-    discrepancy: Discrepancy
 
-    @property
-    def base(self) -> Base:
-        """Stiffness and wind."""
-        return base_of(self.start_stiffness, self.values)
+
+@dataclass(frozen=True)
+class _Moved:
+    """Windows, base values and numbers of the effect after a pass, and by how much the cost has fallen."""
+
+    windows: list[WindowMotion]
+    values: Array
+    numbers: Array
+    effects: tuple[Effect, ...]
+    gained: float
 
 
 def settled(mechanics: Mechanics, camera: Camera, usual: Discrepancy, passes: int) -> Mechanics:
@@ -84,25 +87,20 @@ def settled(mechanics: Mechanics, camera: Camera, usual: Discrepancy, passes: in
     shooting, fit, evidence = mechanics.shooting, mechanics.fit, mechanics.evidence
     effects = list(mechanics.effects.values())
     n = sum(len(effect.scales) for effect in effects)
-    complete = True
     for index in range(passes):
         best = evidence.posterior((), usual)
-        moved = _step(mechanics, evidence, best, None, fit.windows, np.zeros(n))
+        moved = _step(mechanics, evidence, best, None, fit.windows, np.zeros(0))
         if moved is None:
             break
-        before = shooting.clip_cost(fit.windows, best.discrepancy)
-        windows, values, _, _ = moved
-        fit = replace(fit, windows=windows, values=values)
-        gained = before - shooting.clip_cost(windows, best.discrepancy)
-        complete = index + 1 == passes or gained < _LITTLE
-        acting, own = (effects, n) if complete else ([], 0)
-        systems = effect_systems(shooting, fit, acting, mechanics.around, camera, own)
-        evidence = Evidence(systems, values, evidence.deviations, evidence.slack)
-        if complete:
+        fit = replace(fit, windows=moved.windows, values=moved.values)
+        if moved.gained < _LITTLE or index + 1 == passes:
             break
-    if not complete:
-        systems = effect_systems(shooting, fit, effects, mechanics.around, camera, n)
+        systems = effect_systems(shooting, fit, (), mechanics.around, None, 0)
         evidence = Evidence(systems, fit.values, evidence.deviations, evidence.slack)
+    if fit is mechanics.fit:
+        return mechanics
+    systems = effect_systems(shooting, fit, effects, mechanics.around, camera, n)
+    evidence = Evidence(systems, fit.values, evidence.deviations, evidence.slack)
     return replace(mechanics, fit=fit, evidence=evidence)
 
 
@@ -139,12 +137,8 @@ def refit(
     for index in range(passes):
         moved = _step(mechanics, evidence, best, effect, windows, numbers)
         if moved is None:
-            if index == 0:
-                # What the effect promised to first order is not there.
-                free = []
-                best = evidence.scaled(free, usual)
             break
-        windows, values, numbers, acting = moved
+        windows, values, numbers, acting = moved.windows, moved.values, moved.numbers, moved.effects
         systems = effect_systems(
             shooting,
             replace(fit, windows=windows, values=values),
@@ -159,22 +153,11 @@ def refit(
         # The first pass may lead through places that are worse.
         if index > 0 and (now < hopeless or abs(now - before) < _SETTLED):
             break
-    any_size = evidence.scaled(free, _ANY)
     mean, covariance = np.zeros(n), np.zeros((n, n))
     at = [c - n_base for c in best.columns]
     mean[at] = best.mean
     covariance[np.ix_(at, at)] = best.covariance
-    return Refit(
-        acting,
-        fit.start_stiffness,
-        values,
-        windows,
-        best.log_evidence - _image_cost(mechanics, windows),
-        mean,
-        covariance,
-        any_size.log_evidence - best.log_evidence,
-        any_size.discrepancy,
-    )
+    return Refit(acting, base_of(fit.start_stiffness, values), windows, evidence, now, mean, covariance)
 
 
 def _image_cost(mechanics: Mechanics, windows: Sequence[WindowMotion]) -> float:
@@ -188,8 +171,8 @@ def _step(
     effect: Effect | None,
     windows: list[WindowMotion],
     numbers: Array,
-) -> tuple[list[WindowMotion], Array, Array, tuple[Effect, ...]] | None:
-    """Windows, base values and numbers of the effect after one pass; None where no step lowers the cost."""
+) -> _Moved | None:
+    """One pass; None where no step lowers the cost."""
     shooting, start = mechanics.shooting, mechanics.fit.start_stiffness
     at = [c - evidence.n_base for c in best.columns]
 
@@ -226,10 +209,8 @@ def _step(
             # Effects can be strong enough to blow up a step.
             length *= _SHORTER
             continue
-        if all(window.converged for window in moved) and cost(moved, values, trial) < before:
-            return moved, values, trial, acting
+        gained = before - cost(moved, values, trial)
+        if gained > 0 and all(window.converged for window in moved):
+            return _Moved(moved, values, trial, acting, gained)
         length *= _SHORTER
     return None
-
-
-_ANY = Discrepancy(np.inf, np.inf)
