@@ -140,7 +140,7 @@ def effect_systems(
 ) -> list[WindowSystem]:
     """Gauss-Newton systems of all windows with the columns of all effects, at their numbers.
 
-    The tangents leave out how an effect's own forces change with the motion: approximate beyond strength zero.
+    The tangents leave out how an effect's own forces change with the motion: rough beyond strength zero.
 
     Args:
         shooting: the problem.
