@@ -37,7 +37,7 @@ demo: setup ## Reconstruct a generated scene: table and result page
 
 .PHONY: test
 test: setup ## Run the tests; warnings are errors
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto --maxprocesses 8 --dist loadfile
 
 .PHONY: lint
 lint: setup ## Check style, types and the layers

@@ -5,13 +5,20 @@ from __future__ import annotations
 import numpy as np
 
 from toile.diagnosis.continuity import Discrepancy
-from toile.diagnosis.decision import Calibration
+from toile.diagnosis.decision import Calibration, Weights
 from toile.diagnosis.mechanics import Mechanics
 from toile.evaluation.diagnosis_record import Alias
 
 
-def alias_of(mechanics: Mechanics, size: Discrepancy, calibration: Calibration) -> Alias:
-    """Which effects leave the same trace on this clip, and how weak they may be."""
+def alias_of(mechanics: Mechanics, size: Discrepancy, calibration: Calibration, weights: Weights) -> Alias:
+    """Which effects leave the same trace on this clip, and how weak they may be.
+
+    Args:
+        mechanics: with evidence of all effects.
+        size: of the discrepancy.
+        calibration: says which evidence is enough.
+        weights: how much of it counts.
+    """
     fisher = mechanics.evidence.fisher(size)
     names = list(mechanics.columns)
     blocks = [slice(*mechanics.columns[name]) for name in names]
@@ -31,6 +38,7 @@ def alias_of(mechanics: Mechanics, size: Discrepancy, calibration: Calibration) 
             calibration.spread.get(name, 1.0), 1.0
         )
         parameter = mechanics.effects[name].parameters[0]
-        limit = float(np.sqrt(2 * max(needed, 1.0) / max(information, 1e-12))) * parameter.scale
+        fitted = max(needed, 1.0) / weights.hindsight
+        limit = float(np.sqrt(2 * fitted / max(information, 1e-12))) * parameter.scale
         limits[name] = limit if limit <= max(abs(parameter.low), abs(parameter.high)) else None
     return Alias(tuple(names), tuple(tuple(float(v) for v in row) for row in matrix), limits)

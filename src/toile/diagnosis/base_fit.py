@@ -15,6 +15,7 @@ from toile.diagnosis.continuity import Discrepancy, Joined, Link, WindowSystem
 from toile.diagnosis.positive import positive_factor
 from toile.diagnosis.sensitivities import StepForces
 from toile.diagnosis.shooting import Base, Shooting, WindowMotion
+from toile.simulators.linearizable import LinearizableSimulator
 
 Array = NDArray[np.float64]
 
@@ -59,9 +60,12 @@ def base_deviations(shooting: Shooting) -> Array:
     return np.array([s.stiffness] * 3 + [s.wind] * 2)
 
 
-def base_columns(shooting: Shooting, base: Base) -> Callable[[StepForces], Array]:
-    """Force columns (5, N, 3) of the base's values."""
-    wind = np.stack([shooting.masses[:, None] * axis for axis in shooting.horizontal])
+def base_columns(
+    shooting: Shooting, base: Base, masses: Array | None = None
+) -> Callable[[StepForces], Array]:
+    """Force columns (5, N, 3) of the base's values; masses (N,) [kg] if not those of the base model."""
+    masses = shooting.masses if masses is None else masses
+    wind = np.stack([masses[:, None] * axis for axis in shooting.horizontal])
 
     def columns(step: StepForces) -> Array:
         return np.concatenate((-base.stiffness[:, None, None] * step.unit_gradients, wind))
@@ -166,6 +170,7 @@ def window_systems(
     shared: Sequence[Callable[[StepForces], Array]],
     seen: Callable[[int, Array], Array],
     n_shared: int,
+    simulator: LinearizableSimulator | None = None,
 ) -> list[WindowSystem]:
     """Gauss-Newton systems of all windows; each start hangs on the end before it.
 
@@ -176,6 +181,7 @@ def window_systems(
         shared: force columns of every window, see Shooting.normal.
         seen: apparent displacements, see there.
         n_shared: columns of both.
+        simulator: with which they were, if not with that of the base model.
     """
     systems: list[WindowSystem] = []
     end: Array | None = None
@@ -183,7 +189,7 @@ def window_systems(
         link = None
         if end is not None:
             link = Link(shooting.jump(windows[k - 1], window), shooting.jump_ratio(), end)
-        G, g, end = shooting.normal(window, base, shared[k], seen, n_shared)
+        G, g, end = shooting.normal(window, base, shared[k], seen, n_shared, simulator)
         n = window.last - window.first
         external = shooting.external(n)
         pushed = np.arange(len(external)) >= shooting.layout(n)[1]

@@ -243,13 +243,13 @@ def diagnose(
             )
             for name in ranked
         ),
-        alias_of(best, missing.discrepancy, calibration),
+        alias_of(best, missing.discrepancy, calibration, settings.weights),
         Protocol(
             settings.seed,
             tuple(range(used)),
             tuple(range(used, n_frames)),
             f"toile {version('toile')}",
-            naive_answer(mechanics, findings),
+            naive_answer(best, findings),
         ),
     )
 

@@ -115,15 +115,16 @@ def force_columns(effect: Effect, instant: Instant, around: Surroundings) -> Arr
 
         def heavier(acting: Effect) -> Tensor:
             assert isinstance(acting, MassEffect)
-            return acting.masses(masses, around) / masses
+            return acting.masses(masses, around).log()
 
-        lost = masses.numpy()[:, None] * instant.acceleration - instant.step.imbalance
+        now_masses = effect.masses(masses, around).detach().numpy()
+        lost = now_masses[:, None] * instant.acceleration - instant.step.imbalance
         return derivatives(heavier, effect)[:, :, None] * lost
     if isinstance(effect, TimeEffect):
 
         def longer(acting: Effect) -> Tensor:
             assert isinstance(acting, TimeEffect)
-            return acting.frame_interval(torch.ones((), dtype=torch.float64))
+            return acting.frame_interval(torch.ones((), dtype=torch.float64)).log()
 
         # Inertia goes with the inverse square of the time step.
         return 2 * derivatives(longer, effect)[:, None, None] * instant.step.imbalance

@@ -162,12 +162,12 @@ class Evidence:
             longest: change of the base values at most (n_base,).
 
         Returns:
-            Base values, the effect's numbers, changes of every window's local columns (which go all the way
-            that suits the others), and the share that was gone.
+            Base values, the effect's numbers, changes of every window's local columns, and the share that
+            was gone: what is left of it lowers the cost once it is small enough.
         """
         shared = self._shared(best.columns, best.mean, best.discrepancy)
         length *= min(1.0, float((longest / np.maximum(np.abs(shared[: self.n_base]), 1e-9)).min()))
-        changes = Joined(self.systems, best.discrepancy).locals(length * shared)
+        changes = [length * change for change in Joined(self.systems, best.discrepancy).locals(shared)]
         at = [c - self.n_base for c in best.columns]
         numbers = self.numbers[at] + length * (best.mean - self.numbers[at])
         return self.values + length * shared[: self.n_base], numbers, changes, length

@@ -27,7 +27,7 @@ from toile.diagnosis.effect_columns import (
 from toile.diagnosis.evidence import Evidence
 from toile.diagnosis.model_grid import ModelGrid
 from toile.diagnosis.sensitivities import StepForces
-from toile.diagnosis.shooting import Shooting, ShootingSettings, WindowMotion
+from toile.diagnosis.shooting import Shooting, ShootingSettings, WindowMotion, changed_simulation
 from toile.diagnosis.tracked import Tracked
 from toile.effects.base import CameraEffect, Effect, Surroundings
 from toile.fitting.gauss_newton.unknowns import horizontal_basis
@@ -47,7 +47,7 @@ class Mechanics:
     Attributes:
         shooting: the problem.
         fit: the base model.
-        evidence: of hypotheses about effects.
+        evidence: of hypotheses; none about effects before the base model has settled, see refits.
         columns: (first, last + 1) of every effect's columns, by name.
         effects: by name.
         around: the nominal clip on the model's grid.
@@ -76,7 +76,7 @@ def analyse_mechanics(
     n_frames: int,
     report: Callable[[str, float], None],
 ) -> Mechanics:
-    """Fit the base model to the first n_frames frames and screen the effects.
+    """Fit the base model to the first n_frames frames.
 
     Args:
         scene: its gravity, frame rate and camera are used.
@@ -125,7 +125,7 @@ def analyse_mechanics(
     for effect in acting:
         columns[effect.NAME] = (at, at + len(effect.scales))
         at += len(effect.scales)
-    systems = effect_systems(shooting, fit, acting, around, scene.camera, at)
+    systems = effect_systems(shooting, fit, (), around, None, 0)
     evidence = Evidence(systems, fit.values, base_deviations(shooting))
     return Mechanics(shooting, fit, evidence, columns, {e.NAME: e for e in acting}, around)
 
@@ -140,8 +140,6 @@ def effect_systems(
 ) -> list[WindowSystem]:
     """Gauss-Newton systems of all windows with the columns of all effects, at their numbers.
 
-    The tangents leave out how an effect's own forces change with the motion: rough beyond strength zero.
-
     Args:
         shooting: the problem.
         fit: windows, with the effects or without, and base values.
@@ -151,14 +149,18 @@ def effect_systems(
         n_effects: numbers of all effects.
     """
     base = fit.base
-    of_base = base_columns(shooting, base)
+    simulator = shooting.simulator
+    if any(effect.is_active for effect in effects):
+        wind = torch.from_numpy(base.wind @ shooting.horizontal)
+        simulator = changed_simulation(shooting, effects, around, wind)[0]
+    of_base = base_columns(shooting, base, simulator.cloth.masses.numpy())
     forces = [effect for effect in effects if isinstance(effect, FORCES)]
     cameras = [effect for effect in effects if isinstance(effect, CameraEffect)]
     if cameras and camera is None:
         raise ValueError("effects of the camera need the nominal one")
     template = shooting.tracked.positions[0]
     acceleration = shooting.gravity + base.wind @ shooting.horizontal
-    h = shooting.simulator.time_step
+    h = simulator.time_step
     held = shooting.simulator.assembly.held
 
     def shared(window: WindowMotion) -> Callable[[StepForces], Array]:
@@ -174,7 +176,7 @@ def effect_systems(
         return np.concatenate(found) if found else np.zeros((0, *positions.shape))
 
     columns = [shared(window) for window in fit.windows]
-    return window_systems(shooting, fit.windows, base, columns, seen, N_BASE + n_effects)
+    return window_systems(shooting, fit.windows, base, columns, seen, N_BASE + n_effects, simulator)
 
 
 # Out-of-balance force over a vertex' weight: 0.01 m/s², far below any discrepancy that is looked at.

@@ -79,7 +79,7 @@ def settled(mechanics: Mechanics, camera: Camera, usual: Discrepancy, passes: in
     else has to move a good way, and what effects seem to gain on that way is not theirs.
 
     Args:
-        mechanics: base fit and linear systems around it.
+        mechanics: base fit and linear systems around it, without effects.
         camera: nominal.
         usual: discrepancy of a right model.
         passes: at most.
@@ -97,8 +97,6 @@ def settled(mechanics: Mechanics, camera: Camera, usual: Discrepancy, passes: in
             break
         systems = effect_systems(shooting, fit, (), mechanics.around, None, 0)
         evidence = Evidence(systems, fit.values, evidence.deviations, evidence.slack)
-    if fit is mechanics.fit:
-        return mechanics
     systems = effect_systems(shooting, fit, effects, mechanics.around, camera, n)
     evidence = Evidence(systems, fit.values, evidence.deviations, evidence.slack)
     return replace(mechanics, fit=fit, evidence=evidence)

@@ -11,11 +11,17 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
+from toile.cloth.material import Material
+from toile.diagnosis.past_forces import PastForces
 from toile.simulators.implicit.banded import BandedCholesky
+from toile.simulators.implicit.newton import potential_hessian
+from toile.simulators.implicit.terms import SceneTerms
 from toile.simulators.linearizable import LinearizableSimulator
+from toile.simulators.step_terms import StepContext
 
 Array = NDArray[np.float64]
 Single = NDArray[np.float32]
@@ -111,11 +117,12 @@ class KnownMotion:
     """A motion sub-step by sub-step, with what its equations need.
 
     Args:
-        simulator: cloth, time step and integrator.
+        simulator: cloth, time step, integrator and step terms.
         positions: of all sub-steps (S + 1, N, 3) [m].
         stiffness: Y [N/m], S, B [N·m].
         past: positions before the first one, latest first (K, N, 3) [m]; None: at rest.
         steps: taken before; multistep methods begin with formulas of their own.
+        past_step: between the positions before the first one [s]; None: the time step.
     """
 
     def __init__(
@@ -125,8 +132,10 @@ class KnownMotion:
         stiffness: Array,
         past: Array | None = None,
         steps: int = 0,
+        past_step: float | None = None,
     ) -> None:
         self.simulator = simulator
+        self.past_step = simulator.time_step if past_step is None else past_step
         self.positions = positions
         self.stiffness = stiffness
         self.n_steps = len(positions) - 1
@@ -135,14 +144,36 @@ class KnownMotion:
         self._padded = np.concatenate((before, positions))
         self._history = k
         self._before = steps
+        terms, grid = simulator.terms, simulator.cloth.grid
+        self._scene = SceneTerms()
+        self._past_forces = PastForces(terms, grid) if terms and grid is not None else None
+        if terms and grid is None:
+            raise ValueError("tangents with step terms: expected a cloth on a grid")
 
     def coefficients(self, n: int) -> tuple[tuple[float, ...], Array]:
         """Weights of the prediction and inertia (N,) of sub-step n."""
         formula = self.simulator.integrator.formula(self._before + n)
         return formula.prediction, self.simulator._inertia(formula)
 
+    def context(self, n: int) -> StepContext:
+        """What was known when sub-step n began."""
+        simulator = self.simulator
+        Y, S, B = torch.from_numpy(np.asarray(self.stiffness, np.float64)).split(1)
+        return StepContext(
+            cloth=simulator.cloth,
+            material=Material(Y, S, B),
+            positions=torch.from_numpy(self.positions[n]),
+            velocities=torch.from_numpy(self._velocity(n)),
+            time=(self._before + n + 1) * simulator.time_step,
+            time_step=simulator.time_step,
+            anchors=torch.from_numpy(self.positions[n + 1][simulator.assembly.held]),
+        )
+
     def step(self, n: int) -> StepForces:
-        """What acted in sub-step n."""
+        """What acted in sub-step n; the assembly has its elements afterwards."""
+        if self.simulator.terms:
+            self._scene = SceneTerms.of(self.simulator.terms, self.context(n))
+            self._scene.prepare(self.simulator.assembly)
         weights, inertia = self.coefficients(n)
         k = self._history
         prediction = np.zeros_like(self.positions[0])
@@ -200,7 +231,8 @@ class KnownMotion:
         x0, v0 = (a.reshape(len(a), -1).T.astype(np.float32) for a in (start, velocities))
         zero = np.zeros_like(x0)
         h = self.simulator.time_step
-        history = [x0 - np.float32(i * h) * v0 for i in range(self._history)]
+        history = [x0 - np.float32(i * self.past_step) * v0 for i in range(self._history)]
+        speed = v0
         free = assembly.free.reshape(-1)[:, None].astype(np.float32)
         held_rows = (3 * held[:, None] + np.arange(3)).reshape(-1)
         for n in range(first * substeps, last * substeps):
@@ -211,8 +243,12 @@ class KnownMotion:
             m = len(right.forces)
             b = right.forces.reshape(m, -1).T.astype(np.float32)
             mass = np.repeat(inertia, 3)[:, None].astype(np.float32)
-            predicted = sum(np.float32(c) * h[:, :m] for c, h in zip(weights, history, strict=True))
+            predicted = sum(np.float32(c) * y[:, :m] for c, y in zip(weights, history, strict=True))
             b += mass * predicted
+            if self._past_forces is not None:
+                b += self._past_forces.change(
+                    self.context(n), step.positions, history[0][:, :m], speed[:, :m]
+                )
             anchors = right.anchors.reshape(m, -1).astype(np.float32)
             b -= coupling.T.astype(np.float32) @ anchors.T
             b *= free
@@ -222,20 +258,24 @@ class KnownMotion:
             x[order, :m] = solved
             x[held_rows, :m] = anchors.T
             history = [x, *history[:-1]]
-            if (n + 1) % substeps == 0:
+            ends = (n + 1) % substeps == 0
+            if ends or self._past_forces is not None:
                 formula = self.simulator.integrator.formula(self._before + n)
                 total = sum(np.float32(d) * y for d, y in zip(formula.velocity, history, strict=False))
-                yield x, np.asarray(total / np.float32(h), np.float32)
+                speed = np.asarray(total / np.float32(h), np.float32)
+            if ends:
+                yield x, speed
 
     def _factor(self, x: Array, inertia: Array) -> tuple[BlockFactor, Array]:
         assembly = self.simulator.assembly
-        _, exact, coupling = assembly.hessian(x, self.stiffness, convex=False)
+        extra = self._scene.vertices
+        exact, coupling = potential_hessian(assembly, x, self.stiffness, extra, convex=False)
         band = exact.copy()
         assembly.add_diagonal(band, inertia)
         factor = BandedCholesky.factorise(band)
         if factor is None:
             # A point on the way through a buckling: the smallest share of the convex Hessian that helps.
-            _, convex, _ = assembly.hessian(x, self.stiffness, convex=True)
+            convex, _ = potential_hessian(assembly, x, self.stiffness, extra, convex=True)
             for share in (0.1, 0.25, 0.5, 0.75, 1.0):
                 band = (1 - share) * exact + share * convex
                 assembly.add_diagonal(band, inertia)

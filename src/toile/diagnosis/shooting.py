@@ -366,6 +366,7 @@ class Shooting:
         shared: Callable[[StepForces], Array],
         seen: Callable[[int, Array], Array],
         n_shared: int,
+        simulator: LinearizableSimulator | None = None,
     ) -> tuple[Array, Array, Array]:
         """Gauss-Newton matrix and gradient of the image term over [shared | local white at force=1].
 
@@ -377,7 +378,9 @@ class Shooting:
             shared: force columns (n, N, 3) of a sub-step, the first n of the shared ones.
             seen: apparent displacements (m, N, 3) [m] in a frame at given positions, the last m of them.
             n_shared: n + m.
+            simulator: with which it was, if not with that of the base model.
         """
+        simulator = self.simulator if simulator is None else simulator
         n = window.last - window.first
         oa, of, total = self.layout(n)
         sub = self.substeps
@@ -396,14 +399,15 @@ class Shooting:
         steps = np.arange(n * sub)
         anchor_hats = hats((steps + 1) / sub, self.settings.anchor_knot, na)
         force_hats = hats(steps // sub + 0.5, self.settings.force_knot, nf)
-        weighted = self.force_fields(window.first, window.last) * self.masses[:, None]
+        weighted = self.force_fields(window.first, window.last) * simulator.cloth.masses.numpy()[:, None]
         assert window.start is not None
         motion = KnownMotion(
-            self.simulator,
+            simulator,
             window.positions,
             base.stiffness,
             window.start.past[0].numpy(),
             window.start.steps,
+            self.simulator.time_step,
         )
 
         def columns(step: StepForces) -> Columns:

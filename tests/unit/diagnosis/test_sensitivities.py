@@ -10,7 +10,7 @@ from toile.cloth.cloth import grid_cloth
 from toile.cloth.material import Material
 from toile.cloth.state import State
 from toile.diagnosis.effect_columns import FORCES, Instant, force_columns
-from toile.diagnosis.sensitivities import BlockFactor, Columns, KnownMotion
+from toile.diagnosis.sensitivities import BlockFactor, Columns, KnownMotion, StepForces
 from toile.effects.base import Surroundings
 from toile.effects.catalogue import CATALOGUE
 from toile.effects.setting import setting
@@ -112,3 +112,37 @@ def test_the_required_force_is_the_one_that_acted() -> None:
     acted[around.cloth.held.numpy()] = 0
     for n in range(N_FRAMES - 1):
         np.testing.assert_allclose(motion.required(motion.step(n)), acted, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    "name", [n for n, e in CATALOGUE.items() if issubclass(e, FORCES) and n != "contact"]
+)
+def test_columns_hold_where_an_effect_is_strong(name: str) -> None:
+    """What damping, drag and changed stiffness do to later motion is in the tangents, not in the columns."""
+    around = surroundings()
+    plain_effect = CATALOGUE[name]()
+    numbers = 0.8 * plain_effect.scales
+    effect = plain_effect.with_values(numbers)
+    motion = simulate((effect,), around)
+    given = setting((effect,), around, torch.zeros(N_FRAMES, len(around.cloth.held), 3).double())
+    step = float(given.frame_interval)
+    simulator = ImplicitSimulator(given.cloth, step, BDF2(), NewtonSettings(1e-10), given.terms)
+    known = KnownMotion(simulator, motion, STIFFNESS)
+    held = around.cloth.held.numpy()
+    acceleration = (GRAVITY + WIND).numpy()
+    n = len(effect.scales)
+    rest = np.zeros((n, len(motion[0]), 3))
+
+    def columns(now: StepForces) -> Columns:
+        at = Instant(now, (now.index + 1) * step, step, STIFFNESS, acceleration, now.positions[held])
+        return Columns(force_columns(effect, at, around), np.zeros((n, len(held), 3)))
+
+    tangents = np.stack([x for x, _ in known.tangents(0, N_FRAMES - 1, 1, columns, rest, rest)])
+    for k in range(n):
+        small = torch.zeros_like(effect.scales)
+        small[k] = 1e-4 * effect.scales[k]
+        ahead, behind = (simulate((effect.with_values(numbers + s),), around) for s in (small, -small))
+        change = (ahead - behind)[1:] / 2e-4
+        found = tangents[..., k].reshape(change.shape)
+        error = np.linalg.norm(found - change) / max(np.linalg.norm(change), 1e-12)
+        assert error < 1e-4, (effect.parameters[k].name, error)

@@ -231,15 +231,15 @@ def _regularised_factor(
 
     The coupling to the held vertices comes with it where the level is 0: the exact Hessian.
     """
-    exact, coupling = _potential_hessian(assembly, x, stiffness, extra, convex=False)
+    exact, coupling = potential_hessian(assembly, x, stiffness, extra, convex=False)
     if level == 0:
         assembly.add_diagonal(exact, inertia)
         factor = BandedCholesky.factorise(exact)
         if factor is not None:
             return factor, coupling, 0
-        exact, _ = _potential_hessian(assembly, x, stiffness, extra, convex=False)
+        exact, _ = potential_hessian(assembly, x, stiffness, extra, convex=False)
         level = 1
-    added, _ = _potential_hessian(assembly, x, stiffness, extra, convex=True)
+    added, _ = potential_hessian(assembly, x, stiffness, extra, convex=True)
     added -= exact
     band = np.empty_like(exact)
     while level <= _MAX_LEVEL:
@@ -256,7 +256,7 @@ def _regularised_factor(
     return None, None, level
 
 
-def _potential_hessian(
+def potential_hessian(
     assembly: Assembly, x: Array, stiffness: Array, extra: VertexPotential | None, *, convex: bool
 ) -> tuple[Array, Array]:
     """Band and coupling of E + Σ U, see Assembly.hessian."""
@@ -283,7 +283,7 @@ def linearise(
         FloatingPointError: not even the projected Hessian is positive definite.
     """
     for exact in (True, False):
-        band, coupling = _potential_hessian(assembly, x, stiffness, extra, convex=not exact)
+        band, coupling = potential_hessian(assembly, x, stiffness, extra, convex=not exact)
         assembly.add_diagonal(band, inertia)
         factor = BandedCholesky.factorise(band)
         if factor is not None:
