@@ -63,12 +63,18 @@ def base_deviations(shooting: Shooting) -> Array:
 def base_columns(
     shooting: Shooting, base: Base, masses: Array | None = None
 ) -> Callable[[StepForces], Array]:
-    """Force columns (5, N, 3) of the base's values; masses (N,) [kg] if not those of the base model."""
+    """Force columns (5, N, 3) of the base's values; masses (N,) [kg] if not those of the base model.
+
+    Stiffer threads do not pull more where they are as long as in the template, see template_tension.
+    """
     masses = shooting.masses if masses is None else masses
     wind = np.stack([masses[:, None] * axis for axis in shooting.horizontal])
 
     def columns(step: StepForces) -> Array:
-        return np.concatenate((-base.stiffness[:, None, None] * step.unit_gradients, wind))
+        stiffer = -base.stiffness[:, None, None] * step.unit_gradients
+        if shooting.tension is not None:
+            stiffer[0] -= shooting.tension.force(step.positions, shooting.simulator.cloth)
+        return np.concatenate((stiffer, wind))
 
     return columns
 

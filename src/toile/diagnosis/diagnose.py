@@ -27,10 +27,10 @@ from toile.diagnosis.findings import (
 )
 from toile.diagnosis.gap_maps import gap_maps, stage_shares
 from toile.diagnosis.grip import SlipFit, slip_evidence
-from toile.diagnosis.mechanics import Mechanics, analyse_mechanics
+from toile.diagnosis.mechanics import analyse_mechanics
 from toile.diagnosis.model_grid import model_grids
 from toile.diagnosis.numerics import time_step_error
-from toile.diagnosis.refits import Refit, refit, settled
+from toile.diagnosis.refits import refits, settled
 from toile.diagnosis.sharpness import ExposureFit, exposure_evidence, smear
 from toile.diagnosis.shooting import ShootingSettings
 from toile.diagnosis.shrinkage import held_out_shrinks, prediction_gains
@@ -56,9 +56,7 @@ HELD_OUT_FILE = "held_out.npz"
 """Predicted positions of the held-out frames on the scene's grid, by what was in the model."""
 
 # First-order log evidence from which on an effect is refitted.
-_PROMISING = -3.0
-# Log evidence by which it may lie behind the base model after two passes and still have another.
-_HOPELESS = 10.0
+_PROMISING = -6.0
 
 
 @dataclass(frozen=True)
@@ -73,8 +71,8 @@ class DiagnosisSettings:
         stiffness: start values Y [N/m], S per cell area [N/m] and B [N·m]: the same fabric on every grid.
         longest_substep: of the base model [s].
         usual_discrepancy: that a right model still needs; beyond it something is missing.
-        refitted: effects that move the cloth which are fitted on their own, the most promising first.
-        refit_passes: of each at most.
+        refitted: how many effects that move the cloth are fitted on their own, the most promising first: in a
+            first pass, in a second one, and so on.
         settling_passes: of the base model at most, with forces of the size that it needs.
         weights: what evidence from fitted windows and that prediction count for.
         compared: effects whose prediction of held-out frames is measured.
@@ -89,8 +87,7 @@ class DiagnosisSettings:
     stiffness: tuple[float, float, float] = (850.0, 2.8, 5.3e-5)
     longest_substep: float = 0.005
     usual_discrepancy: Discrepancy = field(default_factory=lambda: Discrepancy(1.6, 0.1))
-    refitted: int = 4
-    refit_passes: int = 3
+    refitted: tuple[int, ...] = (6, 4, 2, 2)
     settling_passes: int = 4
     weights: Weights = field(default_factory=Weights)
     compared: int = 3
@@ -163,10 +160,17 @@ def diagnose(
         usual = settings.usual_discrepancy
         best = settled(mechanics, scene.camera, usual, settings.settling_passes)
         screened = mechanical_findings(best, usual)
-        base, refits = _refitted(best, screened, settings, progress)
+        base, models = refits(
+            best,
+            _promising(screened),
+            screened.charges,
+            usual,
+            settings.refitted,
+            lambda what, share: progress(what, 0.86 + 0.06 * share),
+        )
     for name, screening in screened.findings.items():
-        if name in refits:
-            model = refits[name]
+        if name in models:
+            model = models[name]
             gained = model.log_evidence - base.log_evidence - screened.charges[name]
             findings[name] = finding(mechanics.effects[name], gained, model.mean, model.covariance)
         else:
@@ -175,7 +179,7 @@ def diagnose(
     calibration = Calibration.load()
     progress("what the effects foretell", 0.92)
     with times.stage("foretelling"):
-        gains = prediction_gains(mechanics, base, refits)
+        gains = prediction_gains(mechanics, base, models)
     evidence = {name: found.log_evidence for name, found in findings.items()}
     for name in screened.findings:
         evidence[name] = settings.weights.combined(findings[name].log_evidence, gains.get(name, 0.0))
@@ -187,11 +191,11 @@ def diagnose(
     ranked = [name for name in chances if name in findings]
     progress("held-out frames", 0.95)
     with times.stage("held-out frames"):
-        compared = [name for name in ranked if name in refits][: settings.compared]
+        compared = [name for name in ranked if name in models][: settings.compared]
         held_out = held_out_shrinks(
             mechanics,
             base,
-            {name: refits[name] for name in compared},
+            {name: models[name] for name in compared},
             used=used,
             horizon=settings.shooting.window,
             n_placebos=settings.placebos,
@@ -280,24 +284,11 @@ def _still_findings(
     return findings
 
 
-def _refitted(
-    mechanics: Mechanics, screened: Screening, settings: DiagnosisSettings, progress: Progress
-) -> tuple[Refit, dict[str, Refit]]:
-    """The base model and the most promising effects at their best."""
-    usual, passes = settings.usual_discrepancy, settings.refit_passes
+def _promising(screened: Screening) -> dict[str, tuple[int, ...]]:
+    """Free numbers of the effects that are worth a fit of their own, the most promising first."""
     promise = {name: found.log_evidence for name, found in screened.findings.items()}
-    names = [name for name in sorted(promise, key=lambda name: -promise[name]) if screened.free[name]]
-    names = [name for name in names if promise[name] > _PROMISING][: settings.refitted]
-    # As many passes as the effects have, so that what any pass brings is not theirs.
-    base = refit(mechanics, None, (), usual, passes)
-    hopeless = base.log_evidence - _HOPELESS
-    refits = {}
-    for index, name in enumerate(names):
-        progress(f"refit with {name}", 0.86 + 0.06 * index / len(names))
-        model = refit(mechanics, mechanics.effects[name], screened.free[name], usual, passes, hopeless)
-        if model.effects:
-            refits[name] = model
-    return base, refits
+    names = sorted(promise, key=lambda name: -promise[name])
+    return {name: screened.free[name] for name in names if screened.free[name] and promise[name] > _PROMISING}
 
 
 def _tracked_positions(

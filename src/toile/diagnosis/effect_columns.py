@@ -31,7 +31,7 @@ from toile.effects.base import (
     VertexEffect,
 )
 from toile.geometry.camera import Camera
-from toile.simulators.step_terms import Elements, StepContext
+from toile.simulators.step_terms import Elements, ElementTerm, StepContext
 
 Array = NDArray[np.float64]
 
@@ -50,6 +50,7 @@ class Instant:
         stiffness: (3,) Y [N/m], S, B [N·m].
         acceleration: gravity and wind (3,) [m/s²].
         anchors: held positions at its end (n_held, 3) [m].
+        after: what changes the elements after the effect.
     """
 
     step: StepForces
@@ -58,6 +59,7 @@ class Instant:
     stiffness: Array
     acceleration: Array
     anchors: Array
+    after: tuple[ElementTerm, ...] = ()
 
 
 def derivatives(function: Callable[[Effect], Tensor], effect: Effect) -> Array:
@@ -99,6 +101,8 @@ def force_columns(effect: Effect, instant: Instant, around: Surroundings) -> Arr
             else:
                 assert isinstance(acting, ElementEffect)
                 changed = acting.elements(plain_elements(cloth), now)
+                for term in instant.after:
+                    changed = term.elements(changed, now)
                 energy = internal_energy(x, cloth, now.material, changed)
             return -torch.autograd.grad(energy, x, create_graph=True)[0]
 

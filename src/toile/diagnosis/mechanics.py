@@ -28,6 +28,7 @@ from toile.diagnosis.evidence import Evidence
 from toile.diagnosis.model_grid import ModelGrid
 from toile.diagnosis.sensitivities import StepForces
 from toile.diagnosis.shooting import Shooting, ShootingSettings, WindowMotion, changed_simulation
+from toile.diagnosis.template_tension import template_tension
 from toile.diagnosis.tracked import Tracked
 from toile.effects.base import CameraEffect, Effect, Surroundings
 from toile.fitting.gauss_newton.unknowns import horizontal_basis
@@ -94,15 +95,17 @@ def analyse_mechanics(
     fit: BaseFit | None = None
     for grid, tracked in levels:
         last = grid is levels[-1][0]
+        horizontal = horizontal_basis(gravity)
+        tension = template_tension(grid.cloth, tracked.positions[0], gravity, horizontal)
         simulator = ImplicitSimulator(
-            grid.cloth, 1 / scene.fps / substeps, BDF2(), NewtonSettings(_TOLERANCE)
+            grid.cloth, 1 / scene.fps / substeps, BDF2(), NewtonSettings(_TOLERANCE), (tension,)
         )
         held = grid.cloth.held.numpy()
         shooting = Shooting(
             simulator,
             substeps,
             gravity,
-            horizontal_basis(gravity),
+            horizontal,
             grid.grid,
             tracked.positions[:, held],
             tracked,
@@ -166,7 +169,9 @@ def effect_systems(
     def shared(window: WindowMotion) -> Callable[[StepForces], Array]:
         def columns(step: StepForces) -> Array:
             time = window.first / around.fps + (step.index + 1) * h
-            now = Instant(step, time, h, base.stiffness, acceleration, step.positions[held])
+            after = (shooting.tension,) if shooting.tension is not None else ()
+            anchors = step.positions[held]
+            now = Instant(step, time, h, base.stiffness, acceleration, anchors, after)
             return np.concatenate((of_base(step), *(force_columns(e, now, around) for e in forces)))
 
         return columns

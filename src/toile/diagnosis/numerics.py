@@ -38,7 +38,7 @@ def _finer(shooting: Shooting, fit: BaseFit, window: WindowMotion) -> Array:
     assert isinstance(nominal, ImplicitSimulator)
     H = nominal.time_step
     h = H / 2
-    simulator = ImplicitSimulator(nominal.cloth, h, nominal.integrator, nominal.newton)
+    simulator = ImplicitSimulator(nominal.cloth, h, nominal.integrator, nominal.newton, nominal.terms)
     state, anchors, force = shooting.local(window, window.white)
     # The past of a shorter step, on the parabola through the one there is.
     x, v = state.positions, state.velocities

@@ -57,6 +57,7 @@ class PastForces:
         self._columns = np.broadcast_to(3 * np.arange(n)[:, None] + axes, shape).reshape(-1)
         self._inside = np.broadcast_to(inside[:, None, :, None], shape).reshape(-1)
         self._size = 3 * n
+        self._forgetful = False
 
     def change(self, now: StepContext, positions: Array, moved: Single, speed: Single) -> Single:
         """Change of the forces (3N, R) [N] for changes of positions and velocities before (3N, R).
@@ -68,6 +69,8 @@ class PastForces:
             speed: [m/s].
         """
         total: Single = np.zeros((self._size, 1), np.float32)
+        if self._forgetful:
+            return total
         for matrix, columns in zip(self.matrices(now, positions), (moved, speed), strict=True):
             if matrix is not None:
                 total = total + matrix @ columns
@@ -79,11 +82,11 @@ class PastForces:
         leaf = replace(now.detached(), positions=leaves[0], velocities=leaves[1])
         with torch.enable_grad():
             forces = term_forces(self._terms, leaf, torch.from_numpy(positions))
-            if not forces.requires_grad:
-                return None, None
             found = torch.autograd.grad(
                 forces, leaves, self._probes, is_grads_batched=True, allow_unused=True
             )
+        # Some terms, such as another stiffness, never depend on the past.
+        self._forgetful = all(g is None for g in found)
         x, v = (None if g is None else self._sparse(g.detach().numpy()) for g in found)
         return x, v
 

@@ -10,7 +10,7 @@ MacKay 1992).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -102,60 +102,114 @@ def settled(mechanics: Mechanics, camera: Camera, usual: Discrepancy, passes: in
     return replace(mechanics, fit=fit, evidence=evidence)
 
 
-def refit(
-    mechanics: Mechanics,
-    effect: Effect | None,
-    columns: Sequence[int],
-    usual: Discrepancy,
-    passes: int,
-    hopeless: float = -np.inf,
-) -> Refit:
-    """Fit a hypothesis from the base fit on.
+class Refitting:
+    """A hypothesis on its way to its best fit, pass by pass from the base fit on.
 
     Args:
         mechanics: settled, see there.
         effect: of the catalogue; None for the base model itself.
         columns: numbers of the effect that are free, the others stay zero.
         usual: discrepancy of a right model; the hypothesis has to do with it.
-        passes: at most.
-        hopeless: log evidence below which there are no more than two of them.
     """
-    shooting, fit, first = mechanics.shooting, mechanics.fit, mechanics.evidence
-    n_base = first.n_base
-    windows, values = fit.windows, fit.values
-    n = 0 if effect is None else len(effect.scales)
-    numbers = np.zeros(n)
-    free = [n_base + c for c in columns]
-    a = 0 if effect is None else n_base + mechanics.columns[effect.NAME][0]
-    systems = [s.with_shared([*range(n_base), *range(a, a + n)]) for s in first.systems]
-    evidence = Evidence(systems, values, first.deviations, first.slack)
-    best = evidence.scaled(free, usual)
-    acting: tuple[Effect, ...] = ()
-    now = best.log_evidence - _image_cost(mechanics, windows)
-    for index in range(passes):
-        moved = _step(mechanics, evidence, best, effect, windows, numbers)
+
+    def __init__(
+        self, mechanics: Mechanics, effect: Effect | None, columns: Sequence[int], usual: Discrepancy
+    ) -> None:
+        first = mechanics.evidence
+        n_base = first.n_base
+        n = 0 if effect is None else len(effect.scales)
+        a = 0 if effect is None else n_base + mechanics.columns[effect.NAME][0]
+        systems = [s.with_shared([*range(n_base), *range(a, a + n)]) for s in first.systems]
+        self._mechanics, self._effect, self._usual = mechanics, effect, usual
+        self._free = [n_base + c for c in columns]
+        self._windows, self._values, self._numbers = mechanics.fit.windows, mechanics.fit.values, np.zeros(n)
+        self._acting: tuple[Effect, ...] = ()
+        self._evidence = Evidence(systems, self._values, first.deviations, first.slack)
+        self._judge()
+        self._passes = 0
+        self.is_done = False
+
+    @property
+    def log_evidence(self) -> float:
+        """So far."""
+        return self._now
+
+    def advance(self) -> None:
+        """One pass; none where the one before has changed little."""
+        if self.is_done:
+            return
+        mechanics, fit = self._mechanics, self._mechanics.fit
+        moved = _step(mechanics, self._evidence, self._best, self._effect, self._windows, self._numbers)
         if moved is None:
-            break
-        windows, values, numbers, acting = moved.windows, moved.values, moved.numbers, moved.effects
-        systems = effect_systems(
-            shooting,
-            replace(fit, windows=windows, values=values),
-            acting,
-            mechanics.around,
-            None,
-            n,
-        )
-        evidence = Evidence(systems, values, first.deviations, first.slack, numbers)
-        best = evidence.scaled(free, usual)
-        before, now = now, best.log_evidence - _image_cost(mechanics, windows)
+            self.is_done = True
+            return
+        self._windows, self._values = moved.windows, moved.values
+        self._numbers, self._acting = moved.numbers, moved.effects
+        around = replace(fit, windows=moved.windows, values=moved.values)
+        n = len(self._numbers)
+        systems = effect_systems(mechanics.shooting, around, self._acting, mechanics.around, None, n)
+        first = mechanics.evidence
+        self._evidence = Evidence(systems, self._values, first.deviations, first.slack, self._numbers)
+        before = self._now
+        self._judge()
+        self._passes += 1
         # The first pass may lead through places that are worse.
-        if index > 0 and (now < hopeless or abs(now - before) < _SETTLED):
-            break
-    mean, covariance = np.zeros(n), np.zeros((n, n))
-    at = [c - n_base for c in best.columns]
-    mean[at] = best.mean
-    covariance[np.ix_(at, at)] = best.covariance
-    return Refit(acting, base_of(fit.start_stiffness, values), windows, evidence, now, mean, covariance)
+        self.is_done = self._passes > 1 and abs(self._now - before) < _SETTLED
+
+    def result(self) -> Refit:
+        """Where it is."""
+        n, n_base = len(self._numbers), self._evidence.n_base
+        mean, covariance = np.zeros(n), np.zeros((n, n))
+        at = [c - n_base for c in self._best.columns]
+        mean[at] = self._best.mean
+        covariance[np.ix_(at, at)] = self._best.covariance
+        base = base_of(self._mechanics.fit.start_stiffness, self._values)
+        return Refit(self._acting, base, self._windows, self._evidence, self._now, mean, covariance)
+
+    def _judge(self) -> None:
+        self._best = self._evidence.scaled(self._free, self._usual)
+        self._now = self._best.log_evidence - _image_cost(self._mechanics, self._windows)
+
+
+def refits(
+    mechanics: Mechanics,
+    promising: Mapping[str, Sequence[int]],
+    charges: Mapping[str, float],
+    usual: Discrepancy,
+    tried: Sequence[int],
+    report: Callable[[str, float], None],
+) -> tuple[Refit, dict[str, Refit]]:
+    """The base model and the promising effects at their best fits, as a race: the last drop out early.
+
+    Args:
+        mechanics: settled, see there.
+        promising: numbers of each effect that are free, the most promising effect first.
+        charges: taken from the log evidence of each.
+        usual: discrepancy of a right model.
+        tried: effects that have a first pass, a second one, and so on.
+        report: called with what is being done and the share that is done.
+
+    Returns:
+        The base model, which has had as many passes, and the effects that act where they have ended.
+    """
+    total, done = sum(tried) + len(tried), 0
+    base = Refitting(mechanics, None, (), usual)
+    models = {
+        name: Refitting(mechanics, mechanics.effects[name], columns, usual)
+        for name, columns in list(promising.items())[: max(tried, default=0)]
+    }
+    running = list(models)
+    for count in tried:
+        report("refit of the base model", done / total)
+        base.advance()
+        done += 1
+        running = sorted(running, key=lambda name: charges[name] - models[name].log_evidence)[:count]
+        for name in running:
+            report(f"refit with {name}", done / total)
+            models[name].advance()
+            done += 1
+    found = {name: model.result() for name, model in models.items()}
+    return base.result(), {name: model for name, model in found.items() if model.effects}
 
 
 def _image_cost(mechanics: Mechanics, windows: Sequence[WindowMotion]) -> float:

@@ -21,6 +21,7 @@ from toile.cloth.state import State
 from toile.diagnosis.continuity import Discrepancy
 from toile.diagnosis.force_modes import external_first, n_balanced
 from toile.diagnosis.sensitivities import Columns, KnownMotion, StepForces
+from toile.diagnosis.template_tension import TemplateTension
 from toile.diagnosis.tracked import Tracked
 from toile.effects.base import Effect, Surroundings
 from toile.effects.setting import setting
@@ -161,6 +162,7 @@ class Shooting:
         self.tracked = tracked
         self.weight = settings.trust
         self.settings = settings
+        self.tension = next((t for t in simulator.terms if isinstance(t, TemplateTension)), None)
         self.masses = simulator.cloth.masses.numpy()
         self.free = simulator.assembly.free
         modes = cosine_modes(grid, settings.modes)
@@ -459,5 +461,5 @@ def changed_simulation(
     nominal = shooting.simulator
     assert isinstance(nominal, ImplicitSimulator)
     step = float(given.frame_interval) / shooting.substeps
-    simulator = ImplicitSimulator(given.cloth, step, BDF2(), nominal.newton, given.terms)
+    simulator = ImplicitSimulator(given.cloth, step, BDF2(), nominal.newton, (*given.terms, *nominal.terms))
     return simulator, given.cloth, given.forces, given.anchors
