@@ -53,12 +53,13 @@ def read_case(run: Path, labels: dict[str, str]) -> Case:
         weights = Weights()
         evidence = {}
         # From what was measured, so that runs with other weights serve as well.
-        for name, hindsight, foretold in zip(
-            stored["names"].tolist(), stored["hindsight"], stored["foretold"], strict=True
+        for name, hindsight, foretold, size in zip(
+            stored["names"].tolist(), stored["hindsight"], stored["foretold"], stored["size"], strict=True
         ):
             moves = isinstance(CATALOGUE[name](), FORCES)
             gain = 0.0 if np.isnan(foretold) else float(foretold)
-            evidence[name] = weights.combined(float(hindsight), gain) if moves else float(hindsight)
+            moved = np.inf if np.isnan(size) else float(size)
+            evidence[name] = weights.combined(float(hindsight), gain, moved) if moves else float(hindsight)
         evidence[UNKNOWN] = weights.combined(float(stored["unknown"]), 0.0)
     label = labels[run.name]
     truth = label if label in STAGES or label == NONE else UNKNOWN

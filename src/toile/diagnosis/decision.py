@@ -22,17 +22,27 @@ class Weights:
         most: log evidence beyond which more says nothing: it comes from an error that the effect takes up.
         foresight: log evidence for each logarithm by which windows are foretold better.
         farthest: logarithm beyond which better says nothing.
+        smallest: size of an effect, over the cloth's width, from which on what speaks for it counts in full;
+            see effect_size.
     """
 
     hindsight: float = 0.5
     most: float = 60.0
     foresight: float = 20.0
     farthest: float = 0.5
+    smallest: float = 0.005
 
-    def combined(self, evidence: float, gain: float) -> float:
-        """Log evidence that counts."""
+    def combined(self, evidence: float, gain: float, size: float = np.inf) -> float:
+        """Log evidence that counts.
+
+        Args:
+            evidence: from fitted windows.
+            gain: logarithm by which windows are foretold better.
+            size: how far the effect moves the cloth, over the cloth's width.
+        """
         foreseen = float(np.clip(gain, -self.farthest, self.farthest))
-        return self.hindsight * min(evidence, self.most) + self.foresight * foreseen
+        value = self.hindsight * min(evidence, self.most) + self.foresight * foreseen
+        return value * min(1.0, size / self.smallest) if value > 0 else value
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from toile.diagnosis.border import BorderFit, border, border_evidence
 from toile.diagnosis.colours import ColourFit, brightness_evidence, colours
 from toile.diagnosis.continuity import Discrepancy
 from toile.diagnosis.decision import UNKNOWN, Calibration, Weights, probabilities
+from toile.diagnosis.effect_size import effect_size
 from toile.diagnosis.findings import (
     Finding,
     Screening,
@@ -56,7 +57,7 @@ HELD_OUT_FILE = "held_out.npz"
 """Predicted positions of the held-out frames on the scene's grid, by what was in the model."""
 
 # First-order log evidence from which on an effect is refitted.
-_PROMISING = -6.0
+_PROMISING = -4.0
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,7 @@ class DiagnosisSettings:
     stiffness: tuple[float, float, float] = (850.0, 2.8, 5.3e-5)
     longest_substep: float = 0.005
     usual_discrepancy: Discrepancy = field(default_factory=lambda: Discrepancy(1.6, 0.1))
-    refitted: tuple[int, ...] = (6, 4, 2, 2)
+    refitted: tuple[int, ...] = (5, 3, 2)
     settling_passes: int = 4
     weights: Weights = field(default_factory=Weights)
     compared: int = 3
@@ -180,9 +181,12 @@ def diagnose(
     progress("what the effects foretell", 0.92)
     with times.stage("foretelling"):
         gains = prediction_gains(mechanics, base, models)
+        width = mechanics.around.cloth_size[0]
+        sizes = {name: effect_size(mechanics, model) / width for name, model in models.items()}
     evidence = {name: found.log_evidence for name, found in findings.items()}
     for name in screened.findings:
-        evidence[name] = settings.weights.combined(findings[name].log_evidence, gains.get(name, 0.0))
+        fitted, foretold = findings[name].log_evidence, gains.get(name, 0.0)
+        evidence[name] = settings.weights.combined(fitted, foretold, sizes.get(name, np.inf))
     # What is unknown foretells nothing, better or worse.
     missing = base.evidence.posterior(())
     beyond = missing.log_evidence - base.evidence.posterior((), usual).log_evidence
@@ -226,6 +230,7 @@ def diagnose(
             ),
             "hindsight": np.array([found.log_evidence for found in findings.values()]),
             "foretold": np.array([gains.get(name, np.nan) for name in findings]),
+            "size": np.array([sizes.get(name, np.nan) for name in findings]),  # over the cloth's width
             "unknown": np.array(beyond),
             "discrepancy": np.array(missing.discrepancy),  # internal, external
             "base": mechanics.fit.values,

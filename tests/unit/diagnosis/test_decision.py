@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from toile.diagnosis.decision import NONE, UNKNOWN, Calibration, confidence_set, probabilities
+from toile.diagnosis.decision import NONE, UNKNOWN, Calibration, Weights, confidence_set, probabilities
 from toile.diagnosis.verdict import verdict_of
 from toile.effects.catalogue import CATALOGUE
 from toile.evaluation.diagnosis_record import AMBIGUOUS
@@ -74,3 +74,13 @@ def test_a_clip_that_says_nothing_speaks_for_nothing() -> None:
     calibration = Calibration({"motion_blur": -8.0}, {}, 1.0, 4.0, 6.0, "test")
     assert calibration.score("motion_blur", 0.0) == 0.0
     assert next(iter(probabilities({"motion_blur": 0.0}, calibration))) == NONE
+
+
+def test_what_hardly_moves_the_cloth_counts_for_little() -> None:
+    weights = Weights(hindsight=0.5, foresight=10.0, smallest=0.01)
+    whole = weights.combined(40.0, 0.1)
+    assert whole == pytest.approx(21.0)
+    assert weights.combined(40.0, 0.1, 0.02) == whole
+    assert weights.combined(40.0, 0.1, 0.002) == pytest.approx(0.2 * whole)
+    # What speaks against it is not weakened.
+    assert weights.combined(-8.0, 0.0, 0.002) == -4.0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -11,6 +13,7 @@ from toile.cloth.material import Material
 from toile.cloth.state import State
 from toile.diagnosis.base_fit import N_BASE, base_deviations, fit_base
 from toile.diagnosis.continuity import Discrepancy
+from toile.diagnosis.effect_size import effect_size
 from toile.diagnosis.evidence import Evidence
 from toile.diagnosis.findings import mechanical_findings
 from toile.diagnosis.mechanics import Mechanics, effect_systems
@@ -104,3 +107,14 @@ def race(mechanics: Mechanics, tried: tuple[int, ...]) -> tuple[Refit, dict[str,
     order = sorted(NAMES, key=lambda name: -screened.findings[name].log_evidence)
     free = {name: screened.free[name] for name in order if screened.free[name]}
     return refits(mechanics, free, screened.charges, USUAL, tried, lambda what, share: None)
+
+
+def test_the_size_of_an_effect_is_how_far_it_moves_the_cloth(mechanics: Mechanics) -> None:
+    _, models = race(mechanics, (3,))
+    sizes = {name: effect_size(mechanics, model) for name, model in models.items()}
+    assert 1e-4 < sizes["anisotropic_stiffness"] < 0.05
+    model = models["anisotropic_stiffness"]
+    without = replace(
+        model, windows=[mechanics.shooting.simulate(w, w.white, model.base) for w in model.windows]
+    )
+    assert effect_size(mechanics, without) == pytest.approx(0.0, abs=1e-6)
