@@ -42,7 +42,7 @@ class Weights:
         """
         foreseen = float(np.clip(gain, -self.farthest, self.farthest))
         value = self.hindsight * min(evidence, self.most) + self.foresight * foreseen
-        return value * min(1.0, size / self.smallest) if value > 0 else value
+        return value * min(1.0, size / self.smallest) ** 2 if value > 0 else value
 
 
 @dataclass(frozen=True)

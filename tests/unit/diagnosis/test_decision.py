@@ -81,6 +81,6 @@ def test_what_hardly_moves_the_cloth_counts_for_little() -> None:
     whole = weights.combined(40.0, 0.1)
     assert whole == pytest.approx(21.0)
     assert weights.combined(40.0, 0.1, 0.02) == whole
-    assert weights.combined(40.0, 0.1, 0.002) == pytest.approx(0.2 * whole)
+    assert weights.combined(40.0, 0.1, 0.002) == pytest.approx(0.04 * whole)
     # What speaks against it is not weakened.
     assert weights.combined(-8.0, 0.0, 0.002) == -4.0
