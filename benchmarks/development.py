@@ -81,6 +81,14 @@ def make(scene: PlannedScene) -> None:
     write_text(path.with_suffix(".json"), json.dumps(made.label, indent=1) + "\n")
 
 
+def is_done(run: Path) -> bool:
+    """Whether there is a diagnosis, and of a version that measured what the table shows."""
+    if not (run / DIAGNOSIS_FILE).is_file() or not (run / SCREENING_FILE).is_file():
+        return False
+    with np.load(run / SCREENING_FILE) as stored:
+        return {"hindsight", "foretold", "size"} <= set(stored.files)
+
+
 def row(scene: PlannedScene, runs: Path) -> dict[str, object]:
     """One line of the table."""
     report = GapReport.read(runs / scene.name / DIAGNOSIS_FILE)
@@ -96,9 +104,11 @@ def row(scene: PlannedScene, runs: Path) -> dict[str, object]:
     verdict = verdict_of(chances, {k: v for k, v in evidence.items() if k != UNKNOWN}, Calibration.load(), {})
     with np.load(runs / scene.name / SCREENING_FILE) as stored:
         seen = {
-            name: f"{name} {float(hindsight):.1f} / {float(gain):.2f}".replace("nan", "-")
-            for name, hindsight, gain in zip(
-                stored["names"].tolist(), stored["hindsight"], stored["foretold"], strict=True
+            name: f"{name} {float(hindsight):.1f} / {float(gain):.2f} / {100 * float(size):.2f}".replace(
+                "nan", "-"
+            )
+            for name, hindsight, gain, size in zip(
+                *(stored[key].tolist() for key in ("names", "hindsight", "foretold", "size")), strict=True
             )
         }
         hindsight = dict(zip(stored["names"].tolist(), stored["hindsight"].tolist(), strict=True))
@@ -115,7 +125,7 @@ def row(scene: PlannedScene, runs: Path) -> dict[str, object]:
         "probability of the truth": f"{chances[truth]:.2f}" if truth in chances else "",
         "rank of its evidence": str(order.index(truth) + 1) if truth in order else "",
         "strongest that moves": f"{order[0]} {evidence[order[0]]:.1f}",
-        "truth: hindsight / foretold": seen.get(truth, ""),
+        "truth: hindsight / foretold / size [% of width]": seen.get(truth, ""),
         "best in hindsight of those that move": seen[max(_MOVING, key=lambda name: hindsight[name])],
         "naive answer": report.protocol.naive,
     }
@@ -163,7 +173,7 @@ def main() -> None:
     write_text(FOLDER / "labels.json", json.dumps(labels, indent=1) + "\n")
     for scene in [] if arguments.table else scenes:
         run = runs / scene.name
-        if (run / DIAGNOSIS_FILE).is_file():
+        if is_done(run):
             continue
         print(scene.name, flush=True)
         try:
@@ -171,7 +181,7 @@ def main() -> None:
             diagnose_scene(FOLDER / "scenes" / scene.name, run, arguments.settings)
         except Exception:  # the other scenes are worth having
             traceback.print_exc()
-    done = [s for s in scenes if (runs / s.name / DIAGNOSIS_FILE).is_file()]
+    done = [s for s in scenes if is_done(runs / s.name)]
     print(write_text(TABLE if arguments.runs == "runs" else runs / "table.md", table(done, runs)))
 
 

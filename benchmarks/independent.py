@@ -8,6 +8,7 @@ withheld scenes are nowhere to be read. What is done is kept in ``outputs/indepe
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 from pathlib import Path
@@ -29,15 +30,18 @@ def scenes(data: Path) -> list[Path]:
     return [p for part in ("labelled", "withheld") for p in sorted((data / part).iterdir()) if p.is_dir()]
 
 
-def row(scene: Path, report: GapReport) -> dict[str, str]:
+def row(scene: Path) -> dict[str, str]:
     """One line of the table."""
+    path = OUTPUT / scene.name / DIAGNOSIS_FILE
+    if not path.is_file():
+        return {"scene": scene.name, "label": _label(scene), "answer": "not run"}
+    report = GapReport.read(path)
     verdict = report.verdict
-    label = scene / "label.json"
     first = report.effect(verdict.effect)
     shrink = first.shrink if first is not None else None
     return {
         "scene": scene.name,
-        "label": json.loads(label.read_text())["effect"] if label.is_file() else "withheld",
+        "label": _label(scene),
         "answer": verdict.effect,
         "candidates": ", ".join(verdict.candidates),
         "stage": verdict.stage,
@@ -47,20 +51,30 @@ def row(scene: Path, report: GapReport) -> dict[str, str]:
     }
 
 
+def _label(scene: Path) -> str:
+    path = scene / "label.json"
+    return json.loads(path.read_text())["effect"] if path.is_file() else "withheld"
+
+
 def main() -> None:
     """See the module."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--table", action="store_true", help="of what is there; diagnose nothing")
+    arguments = parser.parse_args()
     data = Path(os.environ.get("TOILE_DATA", "data")) / "independent"
     found = scenes(data)
-    for scene in found:
+    for scene in [] if arguments.table else found:
         if not (OUTPUT / scene.name / DIAGNOSIS_FILE).is_file():
             print(scene.name, flush=True)
             diagnose_scene(scene, OUTPUT / scene.name, None)
-    table = pd.DataFrame([row(s, GapReport.read(OUTPUT / s.name / DIAGNOSIS_FILE)) for s in found])
+    table = pd.DataFrame([row(s) for s in found]).fillna("")
     write_text(RESULTS / "independent.csv", table.to_csv(index=False))
     for scene in found:
-        if not (scene / "label.json").is_file():
-            answer = (OUTPUT / scene.name / DIAGNOSIS_FILE).read_text()
-            write_text(RESULTS / "independent" / f"{scene.name}.json", answer)
+        answer = OUTPUT / scene.name / DIAGNOSIS_FILE
+        if answer.is_file() and not (scene / "label.json").is_file():
+            write_text(RESULTS / "independent" / f"{scene.name}.json", answer.read_text())
     text = f"""# Scenes of the independent engine
 Made by `make independent` (`toile diagnose`, default settings). The labelled scenes helped to develop the
 diagnosis and are no test of it; the labels of the withheld ones are not known here, and the whole answers
