@@ -140,20 +140,24 @@ def fit_base(
         # Logarithms of stiffness by at most a factor of two at once.
         step *= min(1.0, 0.7 / max(float(np.abs(step[:3]).max()), 1e-9))
         before = cost + 0.5 * float(((values / deviation) ** 2).sum())
+        changes = joined.locals(step)
         length = 1.0
         for _ in range(_SHORTER):
+            # All together: shared unknowns that hold back while local ones go all the way may get stuck.
             trial = values + length * step
-            # Local unknowns go all the way to what suits the shared ones, not a share of it.
-            changes = joined.locals(length * step)
             moved = [
-                _stepped(shooting, w, d / local_scales(shooting, w.last - w.first), base_of(stiffness, trial))
+                shooting.simulate(
+                    w,
+                    w.white + length * d / local_scales(shooting, w.last - w.first),
+                    base_of(stiffness, trial),
+                )
                 for w, d in zip(windows, changes, strict=True)
             ]
             trial_cost = shooting.clip_cost(moved)
             after = trial_cost + 0.5 * float(((trial / deviation) ** 2).sum())
             if after < before and all(w.converged for w in moved):
                 break
-            length *= 0.3
+            length *= 0.4
         else:
             break
         windows, values, cost = moved, trial, trial_cost
@@ -203,15 +207,6 @@ def window_systems(
             WindowSystem(G, g, window.white, pushed & ~external, external, fitted_discrepancy(shooting), link)
         )
     return systems
-
-
-def _stepped(shooting: Shooting, window: WindowMotion, step: Array, base: Base) -> WindowMotion:
-    """A window moved along its step, less far where the solver fails."""
-    for length in (1.0, 0.3):
-        trial = shooting.simulate(window, window.white + length * step, base)
-        if trial.converged:
-            break
-    return trial
 
 
 def _at_rest(shooting: Shooting, positions: Array) -> State:
@@ -294,7 +289,7 @@ def _sweep(
 
 
 # Lengths of a step that are tried.
-_SHORTER = 3
+_SHORTER = 4
 # A pass that lowers the cost by less than this fraction is the last one.
 _STALLED = 0.01
 # ... and so is one that lowers it by less than this.

@@ -74,7 +74,7 @@ class ShootingSettings:
     trust: float = 0.01
     sweeps: int = 2
     iterations: int = 4
-    passes: int = 3
+    passes: int = 8
 
 
 @dataclass(frozen=True)
