@@ -74,7 +74,7 @@ class ShootingSettings:
     trust: float = 0.01
     sweeps: int = 2
     iterations: int = 4
-    passes: int = 8
+    passes: int = 6
 
 
 @dataclass(frozen=True)
