@@ -72,6 +72,8 @@ class DiagnosisSettings:
         stiffness: start values Y [N/m], S per cell area [N/m] and B [N·m]: the same fabric on every grid.
         longest_substep: of the base model [s].
         usual_discrepancy: that a right model still needs; beyond it something is missing.
+        usual_cost: of the images that a right model leaves, per fitted frame; if it leaves more,
+            ``none`` is no proof that nothing is missing.
         refitted: how many effects that move the cloth are fitted on their own, the most promising first: in a
             first pass, in a second one, and so on.
         settling_passes: of the base model at most, with forces of the size that it needs.
@@ -88,6 +90,7 @@ class DiagnosisSettings:
     stiffness: tuple[float, float, float] = (850.0, 2.8, 5.3e-5)
     longest_substep: float = 0.005
     usual_discrepancy: Discrepancy = field(default_factory=lambda: Discrepancy(1.6, 0.1))
+    usual_cost: float = 15.0
     refitted: tuple[int, ...] = (5, 3, 2)
     settling_passes: int = 4
     weights: Weights = field(default_factory=Weights)
@@ -190,6 +193,8 @@ def diagnose(
     # What is unknown foretells nothing, better or worse.
     missing = base.evidence.posterior(())
     beyond = missing.log_evidence - base.evidence.posterior((), usual).log_evidence
+    costs = [sum(map(mechanics.shooting.image_cost, model.windows)) for model in (base, *models.values())]
+    left = min(costs) / used
     unknown = settings.weights.combined(beyond, 0.0)
     chances = probabilities({**evidence, UNKNOWN: unknown}, calibration)
     ranked = [name for name in chances if name in findings]
@@ -232,6 +237,7 @@ def diagnose(
             "foretold": np.array([gains.get(name, np.nan) for name in findings]),
             "size": np.array([sizes.get(name, np.nan) for name in findings]),  # over the cloth's width
             "unknown": np.array(beyond),
+            "left": np.array(left),
             "discrepancy": np.array(missing.discrepancy),  # internal, external
             "base": mechanics.fit.values,
             "time_step_error": np.array(step_error),
@@ -240,7 +246,7 @@ def diagnose(
     )
     by_name = {effect.NAME: effect for effect in effects}
     return GapReport(
-        verdict_of(chances, evidence, calibration, held_out.shrinks),
+        verdict_of(chances, evidence, calibration, held_out.shrinks, explained=left <= settings.usual_cost),
         Where(stage_shares(evidence, calibration, numerics), maps.frames, VERTICES_FILE, maps.regimes),
         tuple(
             EffectReport(

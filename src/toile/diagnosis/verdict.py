@@ -22,8 +22,18 @@ def verdict_of(
     evidence: Mapping[str, float],
     calibration: Calibration,
     shrinks: Mapping[str, Shrink],
+    *,
+    explained: bool = True,
 ) -> Verdict:
-    """The verdict from probabilities, most probable first, and the evidence they come from."""
+    """The verdict from probabilities, most probable first, and the evidence they come from.
+
+    Args:
+        found: probabilities.
+        evidence: log evidence by effect.
+        calibration: see Calibration.
+        shrinks: of held-out errors, by effect.
+        explained: whether the best model leaves no more of the images than a right one does.
+    """
     candidates = confidence_set(found)
     first = candidates[0]
     also = None
@@ -50,9 +60,10 @@ def verdict_of(
             next_recording(candidates),
         )
     if first == NONE:
-        return Verdict(
-            NONE, candidates, NONE, found[NONE], "The base model explains the clip to within its noise.", ""
-        )
+        reason = "The base model explains the clip to within its noise."
+        if not explained:
+            reason = "No effect shows, but no model explains the clip: no proof that none acts."
+        return Verdict(NONE, candidates, NONE, found[NONE], reason, "")
     if first == UNKNOWN:
         return Verdict(
             UNKNOWN,

@@ -84,3 +84,12 @@ def test_what_hardly_moves_the_cloth_counts_for_little() -> None:
     assert weights.combined(40.0, 0.1, 0.002) == pytest.approx(0.04 * whole)
     # What speaks against it is not weakened.
     assert weights.combined(-8.0, 0.0, 0.002) == -4.0
+
+
+def test_none_does_not_say_that_all_is_explained_where_it_is_not() -> None:
+    found = {NONE: 0.97, "air_drag": 0.03}
+    sure = verdict_of(found, {"air_drag": 0.0}, CALIBRATION, {})
+    unsure = verdict_of(found, {"air_drag": 0.0}, CALIBRATION, {}, explained=False)
+    assert sure.effect == unsure.effect == NONE
+    assert "explains the clip to within its noise" in sure.reason
+    assert "no proof" in unsure.reason
