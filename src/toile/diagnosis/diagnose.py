@@ -193,8 +193,7 @@ def diagnose(
     # What is unknown foretells nothing, better or worse.
     missing = base.evidence.posterior(())
     beyond = missing.log_evidence - base.evidence.posterior((), usual).log_evidence
-    costs = [sum(map(mechanics.shooting.image_cost, model.windows)) for model in (base, *models.values())]
-    left = min(costs) / used
+    left = min(model.image_cost for model in (base, *models.values())) / used
     unknown = settings.weights.combined(beyond, 0.0)
     chances = probabilities({**evidence, UNKNOWN: unknown}, calibration)
     ranked = [name for name in chances if name in findings]

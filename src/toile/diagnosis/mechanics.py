@@ -165,11 +165,11 @@ def effect_systems(
     acceleration = shooting.gravity + base.wind @ shooting.horizontal
     h = simulator.time_step
     held = shooting.simulator.assembly.held
+    after = () if shooting.tension is None else (shooting.tension,)
 
     def shared(window: WindowMotion) -> Callable[[StepForces], Array]:
         def columns(step: StepForces) -> Array:
             time = window.first / around.fps + (step.index + 1) * h
-            after = (shooting.tension,) if shooting.tension is not None else ()
             anchors = step.positions[held]
             now = Instant(step, time, h, base.stiffness, acceleration, anchors, after)
             return np.concatenate((of_base(step), *(force_columns(e, now, around) for e in forces)))

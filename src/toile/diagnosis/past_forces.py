@@ -31,6 +31,9 @@ class PastForces:
     Args:
         terms: see StepTerm.
         grid: (H, W).
+
+    Attributes:
+        remember: whether there are any; known after the first step. Another stiffness has none.
     """
 
     def __init__(self, terms: Sequence[StepTerm], grid: tuple[int, int]) -> None:
@@ -57,7 +60,7 @@ class PastForces:
         self._columns = np.broadcast_to(3 * np.arange(n)[:, None] + axes, shape).reshape(-1)
         self._inside = np.broadcast_to(inside[:, None, :, None], shape).reshape(-1)
         self._size = 3 * n
-        self._forgetful = False
+        self.remember = True
 
     def change(self, now: StepContext, positions: Array, moved: Single, speed: Single) -> Single:
         """Change of the forces (3N, R) [N] for changes of positions and velocities before (3N, R).
@@ -69,8 +72,6 @@ class PastForces:
             speed: [m/s].
         """
         total: Single = np.zeros((self._size, 1), np.float32)
-        if self._forgetful:
-            return total
         for matrix, columns in zip(self.matrices(now, positions), (moved, speed), strict=True):
             if matrix is not None:
                 total = total + matrix @ columns
@@ -85,8 +86,7 @@ class PastForces:
             found = torch.autograd.grad(
                 forces, leaves, self._probes, is_grads_batched=True, allow_unused=True
             )
-        # Some terms, such as another stiffness, never depend on the past.
-        self._forgetful = all(g is None for g in found)
+        self.remember = any(g is not None for g in found)
         x, v = (None if g is None else self._sparse(g.detach().numpy()) for g in found)
         return x, v
 

@@ -49,6 +49,7 @@ class Refit:
         windows: simulated.
         evidence: of hypotheses around there.
         log_evidence: means something beside that of another hypothesis on the same clip.
+        image_cost: negative log-likelihood of the fitted frames, up to a constant.
         mean, covariance: of the effect's numbers in prior deviations (n,), (n, n).
     """
 
@@ -57,6 +58,7 @@ class Refit:
     windows: list[WindowMotion]
     evidence: Evidence
     log_evidence: float
+    image_cost: float
     mean: Array
     covariance: Array
 
@@ -110,6 +112,10 @@ class Refitting:
         effect: of the catalogue; None for the base model itself.
         columns: numbers of the effect that are free, the others stay zero.
         usual: discrepancy of a right model; the hypothesis has to do with it.
+
+    Attributes:
+        log_evidence: so far, see Refit.
+        is_done: whether the last pass has changed little.
     """
 
     def __init__(
@@ -129,11 +135,6 @@ class Refitting:
         self._passes = 0
         self.is_done = False
 
-    @property
-    def log_evidence(self) -> float:
-        """So far."""
-        return self._now
-
     def advance(self) -> None:
         """One pass; none where the one before has changed little."""
         if self.is_done:
@@ -150,11 +151,11 @@ class Refitting:
         systems = effect_systems(mechanics.shooting, around, self._acting, mechanics.around, None, n)
         first = mechanics.evidence
         self._evidence = Evidence(systems, self._values, first.deviations, first.slack, self._numbers)
-        before = self._now
+        before = self.log_evidence
         self._judge()
         self._passes += 1
         # The first pass may lead through places that are worse.
-        self.is_done = self._passes > 1 and abs(self._now - before) < _SETTLED
+        self.is_done = self._passes > 1 and abs(self.log_evidence - before) < _SETTLED
 
     def result(self) -> Refit:
         """Where it is."""
@@ -164,11 +165,21 @@ class Refitting:
         mean[at] = self._best.mean
         covariance[np.ix_(at, at)] = self._best.covariance
         base = base_of(self._mechanics.fit.start_stiffness, self._values)
-        return Refit(self._acting, base, self._windows, self._evidence, self._now, mean, covariance)
+        return Refit(
+            self._acting,
+            base,
+            self._windows,
+            self._evidence,
+            self.log_evidence,
+            self._image_cost,
+            mean,
+            covariance,
+        )
 
     def _judge(self) -> None:
         self._best = self._evidence.scaled(self._free, self._usual)
-        self._now = self._best.log_evidence - _image_cost(self._mechanics, self._windows)
+        self._image_cost = sum(map(self._mechanics.shooting.image_cost, self._windows))
+        self.log_evidence = self._best.log_evidence - self._image_cost
 
 
 def refits(
@@ -210,10 +221,6 @@ def refits(
             done += 1
     found = {name: model.result() for name, model in models.items()}
     return base.result(), {name: model for name, model in found.items() if model.effects}
-
-
-def _image_cost(mechanics: Mechanics, windows: Sequence[WindowMotion]) -> float:
-    return sum(mechanics.shooting.image_cost(window) for window in windows)
 
 
 def _step(

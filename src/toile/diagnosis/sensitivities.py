@@ -245,10 +245,9 @@ class KnownMotion:
             mass = np.repeat(inertia, 3)[:, None].astype(np.float32)
             predicted = sum(np.float32(c) * y[:, :m] for c, y in zip(weights, history, strict=True))
             b += mass * predicted
-            if self._past_forces is not None:
-                b += self._past_forces.change(
-                    self.context(n), step.positions, history[0][:, :m], speed[:, :m]
-                )
+            past = self._past_forces
+            if past is not None and past.remember:
+                b += past.change(self.context(n), step.positions, history[0][:, :m], speed[:, :m])
             anchors = right.anchors.reshape(m, -1).astype(np.float32)
             b -= coupling.T.astype(np.float32) @ anchors.T
             b *= free
@@ -259,7 +258,7 @@ class KnownMotion:
             x[held_rows, :m] = anchors.T
             history = [x, *history[:-1]]
             ends = (n + 1) % substeps == 0
-            if ends or self._past_forces is not None:
+            if ends or (past is not None and past.remember):
                 formula = self.simulator.integrator.formula(self._before + n)
                 total = sum(np.float32(d) * y for d, y in zip(formula.velocity, history, strict=False))
                 speed = np.asarray(total / np.float32(h), np.float32)

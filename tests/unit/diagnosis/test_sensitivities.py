@@ -11,7 +11,7 @@ from toile.cloth.material import Material
 from toile.cloth.state import State
 from toile.diagnosis.effect_columns import FORCES, Instant, force_columns
 from toile.diagnosis.sensitivities import BlockFactor, Columns, KnownMotion, StepForces
-from toile.effects.base import Surroundings
+from toile.effects.base import Effect, Surroundings
 from toile.effects.catalogue import CATALOGUE
 from toile.effects.setting import setting
 from toile.simulators.implicit.banded import BandedCholesky
@@ -73,6 +73,24 @@ def test_blocks_solve_what_the_band_solves() -> None:
     np.testing.assert_allclose(BlockFactor(factor).solve(right), np.linalg.solve(dense, right), atol=1e-6)
 
 
+def effect_tangents(
+    effect: Effect, simulator: ImplicitSimulator, motion: np.ndarray, around: Surroundings
+) -> np.ndarray:
+    """Change of the frames after the first by every number of an effect (n, F-1, N, 3)."""
+    held = around.cloth.held.numpy()
+    acceleration = (GRAVITY + WIND).numpy()
+    h, n = simulator.time_step, len(effect.scales)
+    rest = np.zeros((n, len(motion[0]), 3))
+
+    def columns(step: StepForces) -> Columns:
+        now = Instant(step, (step.index + 1) * h, h, STIFFNESS, acceleration, step.positions[held])
+        return Columns(force_columns(effect, now, around), np.zeros((n, len(held), 3)))
+
+    tangents = KnownMotion(simulator, motion, STIFFNESS).tangents(0, N_FRAMES - 1, 1, columns, rest, rest)
+    found = np.stack([x for x, _ in tangents])
+    return np.moveaxis(found, -1, 0).reshape(n, *motion[1:].shape)
+
+
 @pytest.mark.parametrize(
     "name", [n for n, e in CATALOGUE.items() if issubclass(e, FORCES) and n != "contact"]
 )
@@ -82,22 +100,12 @@ def test_columns_are_the_derivatives_of_the_simulation(name: str) -> None:
     effect = CATALOGUE[name]()
     plain = simulate((), around)
     simulator = ImplicitSimulator(around.cloth, STEP, BDF2(), NewtonSettings(1e-10))
-    motion = KnownMotion(simulator, plain, STIFFNESS)
-    held = around.cloth.held.numpy()
-    acceleration = (GRAVITY + WIND).numpy()
-    n = len(effect.scales)
-    rest = np.zeros((n, len(plain[0]), 3))
-
-    def columns(step):
-        now = Instant(step, (step.index + 1) * STEP, STEP, STIFFNESS, acceleration, step.positions[held])
-        return Columns(force_columns(effect, now, around), np.zeros((n, len(held), 3)))
-
-    tangents = np.stack([x for x, _ in motion.tangents(0, N_FRAMES - 1, 1, columns, rest, rest)])
-    for k in range(n):
+    tangents = effect_tangents(effect, simulator, plain, around)
+    for k in range(len(effect.scales)):
         small = torch.zeros_like(effect.scales)
         small[k] = 1e-4 * effect.scales[k]
         change = (simulate((effect.with_values(small),), around) - plain)[1:] / 1e-4
-        found = tangents[..., k].reshape(change.shape)
+        found = tangents[k]
         for frame in (3, N_FRAMES - 2):
             error = np.linalg.norm(found[frame] - change[frame]) / max(np.linalg.norm(change[frame]), 1e-12)
             assert error < 0.06, (effect.parameters[k].name, frame, error)
@@ -127,22 +135,11 @@ def test_columns_hold_where_an_effect_is_strong(name: str) -> None:
     given = setting((effect,), around, torch.zeros(N_FRAMES, len(around.cloth.held), 3).double())
     step = float(given.frame_interval)
     simulator = ImplicitSimulator(given.cloth, step, BDF2(), NewtonSettings(1e-10), given.terms)
-    known = KnownMotion(simulator, motion, STIFFNESS)
-    held = around.cloth.held.numpy()
-    acceleration = (GRAVITY + WIND).numpy()
-    n = len(effect.scales)
-    rest = np.zeros((n, len(motion[0]), 3))
-
-    def columns(now: StepForces) -> Columns:
-        at = Instant(now, (now.index + 1) * step, step, STIFFNESS, acceleration, now.positions[held])
-        return Columns(force_columns(effect, at, around), np.zeros((n, len(held), 3)))
-
-    tangents = np.stack([x for x, _ in known.tangents(0, N_FRAMES - 1, 1, columns, rest, rest)])
-    for k in range(n):
+    tangents = effect_tangents(effect, simulator, motion, around)
+    for k in range(len(effect.scales)):
         small = torch.zeros_like(effect.scales)
         small[k] = 1e-4 * effect.scales[k]
         ahead, behind = (simulate((effect.with_values(numbers + s),), around) for s in (small, -small))
         change = (ahead - behind)[1:] / 2e-4
-        found = tangents[..., k].reshape(change.shape)
-        error = np.linalg.norm(found - change) / max(np.linalg.norm(change), 1e-12)
+        error = np.linalg.norm(tangents[k] - change) / max(np.linalg.norm(change), 1e-12)
         assert error < 1e-4, (effect.parameters[k].name, error)
