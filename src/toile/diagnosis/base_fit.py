@@ -31,7 +31,6 @@ class BaseFit:
         windows: simulated.
         start_stiffness: (3,) that the logarithms refer to.
         values: (5,) log ratios of Y, S, B and wind.
-        covariance: (5, 5) of the values.
         cost: negative log-posterior.
         history: cost after every pass.
     """
@@ -39,7 +38,6 @@ class BaseFit:
     windows: list[WindowMotion]
     start_stiffness: Array
     values: Array
-    covariance: Array
     cost: float
     history: tuple[float, ...]
 
@@ -47,6 +45,20 @@ class BaseFit:
     def base(self) -> Base:
         """Stiffness and wind."""
         return base_of(self.start_stiffness, self.values)
+
+
+TRIED = 5
+"""Steps of a pass that are tried, each with more damping."""
+
+
+def more(damping: float) -> float:
+    """Damping after a step that did not lower the cost (Levenberg 1944, Marquardt 1963)."""
+    return max(_STRONGER * damping, _DAMPING)
+
+
+def less(damping: float) -> float:
+    """Damping after a step that did."""
+    return damping / _WEAKER if damping > _DAMPING / _WEAKER else 0.0
 
 
 def base_of(start: Array, values: Array) -> Base:
@@ -128,44 +140,44 @@ def fit_base(
     windows = [shooting.simulate(w, w.white, base_of(stiffness, values)) for w in windows]
     cost = shooting.clip_cost(windows)
     history = [cost]
-    covariance: Array = np.diag(deviation**2)
+    damping = 0.0
+    little: list[bool] = []
     for _ in range(shooting.settings.passes if passes is None else passes):
         base = base_of(stiffness, values)
         columns = base_columns(shooting, base)
         systems = window_systems(shooting, windows, base, [columns] * len(windows), nothing_seen, N_BASE)
-        joined = Joined(systems, fitted_discrepancy(shooting))
-        H = joined.reduced.matrix + np.diag(deviation**-2)
-        covariance = np.asarray(np.linalg.inv(0.5 * (H + H.T)), np.float64)
-        step = covariance @ (joined.reduced.right - values / deviation**2)
-        # Logarithms of stiffness by at most a factor of two at once.
-        step *= min(1.0, 0.7 / max(float(np.abs(step[:3]).max()), 1e-9))
         before = cost + 0.5 * float(((values / deviation) ** 2).sum())
-        changes = joined.locals(step)
-        length = 1.0
-        for _ in range(_SHORTER):
+        for _ in range(TRIED):
             # All together: shared unknowns that hold back while local ones go all the way may get stuck.
-            trial = values + length * step
+            joined = Joined(systems, fitted_discrepancy(shooting), damping)
+            H = joined.reduced.matrix + np.diag((1 + damping) * deviation**-2)
+            right = joined.reduced.right - values / deviation**2
+            step = np.asarray(np.linalg.solve(0.5 * (H + H.T), right), np.float64)
+            # Logarithms of stiffness by at most a factor of two at once.
+            step *= min(1.0, 0.7 / max(float(np.abs(step[:3]).max()), 1e-9))
+            trial = values + step
             moved = [
                 shooting.simulate(
-                    w,
-                    w.white + length * d / local_scales(shooting, w.last - w.first),
-                    base_of(stiffness, trial),
+                    w, w.white + d / local_scales(shooting, w.last - w.first), base_of(stiffness, trial)
                 )
-                for w, d in zip(windows, changes, strict=True)
+                for w, d in zip(windows, joined.locals(step), strict=True)
             ]
             trial_cost = shooting.clip_cost(moved)
             after = trial_cost + 0.5 * float(((trial / deviation) ** 2).sum())
             if after < before and all(w.converged for w in moved):
                 break
-            length *= 0.4
+            damping = more(damping)
         else:
             break
         windows, values, cost = moved, trial, trial_cost
         history.append(cost)
         report("base", cost)
-        if before - after < _STALLED * abs(before) + _NOTHING:
+        # One short step is no sign of having arrived, two are.
+        little.append(before - after < _STALLED * abs(before) + _NOTHING)
+        if little[-1] and (damping == 0 or all(little[-2:])):
             break
-    return BaseFit(windows, stiffness, values, covariance, cost, tuple(history))
+        damping = less(damping)
+    return BaseFit(windows, stiffness, values, cost, tuple(history))
 
 
 def fitted_discrepancy(shooting: Shooting) -> Discrepancy:
@@ -288,10 +300,9 @@ def _sweep(
     return windows, values
 
 
-# Lengths of a step that are tried.
-_SHORTER = 4
-# A pass that lowers the cost by less than this fraction is the last one.
-_STALLED = 0.01
-# ... and so is one that lowers it by less than this.
+# A pass that lowers the cost by less than this fraction and this log probability is the last one.
+_STALLED = 0.002
 _NOTHING = 0.5
 _STALLED_WINDOW = 0.05
+# Damping of the first step that has any, in prior precisions, and by which factors it grows and falls.
+_DAMPING, _STRONGER, _WEAKER = 10.0, 5.0, 4.0

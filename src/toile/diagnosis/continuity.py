@@ -84,11 +84,16 @@ class WindowSystem:
 
 @dataclass(frozen=True)
 class Reduced:
-    """A system without local unknowns: ½ sᵀ matrix s - right·s - constant in the shared ones s."""
+    """A system without local unknowns: ½ sᵀ matrix s - right·s - constant in the shared ones s.
+
+    Attributes:
+        determinant: half the log determinant of the local unknowns; the constant holds minus that.
+    """
 
     matrix: Array
     right: Array
     constant: float
+    determinant: float
 
 
 class Joined:
@@ -97,9 +102,10 @@ class Joined:
     Args:
         systems: in the order of time.
         size: of the discrepancy.
+        damping: what a step costs beside, for every local unknown [1/deviation²] (Levenberg 1944).
     """
 
-    def __init__(self, systems: Sequence[WindowSystem], size: Discrepancy) -> None:
+    def __init__(self, systems: Sequence[WindowSystem], size: Discrepancy, damping: float = 0.0) -> None:
         n = len(systems[0].gradient) - len(systems[0].white)
         shared, right = np.zeros((n, n)), np.zeros(n)
         constant = 0.0
@@ -115,6 +121,7 @@ class Joined:
             m = 0 if s.link is None else len(s.link.jump)
             free = np.arange(m, local)
             own[free, free] += 1
+            own[np.diag_indices(local)] += damping
             rest[m:, n] -= mean[m:]
             shared += s.matrix[:n, :n]
             right -= s.gradient[:n]
@@ -141,7 +148,8 @@ class Joined:
                 rest[:m] -= last.half_next.T @ last.half
             self._steps.append(_Eliminated(scale, own, rest))
         constant += self._take(self._steps[-1], shared, right)
-        self.reduced = Reduced(shared, right, constant)
+        determinant = sum(step.determinant for step in self._steps)
+        self.reduced = Reduced(shared, right, constant, determinant)
 
     @staticmethod
     def _take(step: _Eliminated, shared: Array, right: Array) -> float:
@@ -172,6 +180,7 @@ class _Eliminated:
     half_next: Array
     factor: Array
     constant: float
+    determinant: float
 
     def __init__(self, scale: Array, matrix: Array, rest: Array) -> None:
         self.scale, self.matrix, self.rest = scale, matrix, rest
@@ -183,7 +192,8 @@ class _Eliminated:
         solved = solve_triangular(self.factor, np.concatenate((self.rest, self.next), 1), lower=True)
         self.half, self.half_next = solved[:, : self.rest.shape[1]], solved[:, self.rest.shape[1] :]
         half = self.half[:, -1]
-        self.constant = float(0.5 * half @ half - np.log(np.diag(self.factor)).sum())
+        self.determinant = float(np.log(np.diag(self.factor)).sum())
+        self.constant = 0.5 * float(half @ half) - self.determinant
 
 
 def _scaled(s: WindowSystem, size: Discrepancy) -> tuple[Array, Array]:

@@ -91,7 +91,7 @@ class DiagnosisSettings:
     longest_substep: float = 0.005
     usual_discrepancy: Discrepancy = field(default_factory=lambda: Discrepancy(1.6, 0.1))
     usual_cost: float = 15.0
-    refitted: tuple[int, ...] = (5, 3, 2)
+    refitted: tuple[int, ...] = (5, 2)
     settling_passes: int = 4
     weights: Weights = field(default_factory=Weights)
     compared: int = 3
@@ -175,7 +175,7 @@ def diagnose(
     for name, screening in screened.findings.items():
         if name in models:
             model = models[name]
-            gained = model.log_evidence - base.log_evidence - screened.charges[name]
+            gained = model.gained - screened.charges[name]
             findings[name] = finding(mechanics.effects[name], gained, model.mean, model.covariance)
         else:
             # What has not been tried, or could not keep its promise, speaks for nothing.

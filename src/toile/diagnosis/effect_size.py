@@ -8,17 +8,30 @@ Testing precise hypotheses).
 from __future__ import annotations
 
 import numpy as np
+import torch
 
 from toile.diagnosis.mechanics import Mechanics
 from toile.diagnosis.refits import Refit
 
 
 def effect_size(mechanics: Mechanics, model: Refit) -> float:
-    """Mean distance [m] of windows with the effect from those without it, all else equal; second halves."""
+    """Mean distance [m] of windows with the effect from those without it, all else equal; second halves.
+
+    The effect has the numbers that are estimated, which its refit may still be on the way to.
+    """
     shooting = mechanics.shooting
+    (effect,) = model.effects
+    low = np.array([p.low / p.scale for p in effect.parameters])
+    high = np.array([p.high / p.scale for p in effect.parameters])
+    numbers = torch.from_numpy(model.mean.clip(low, high)) * effect.scales
+    acting = (effect.with_values(numbers),)
     away = []
     for window in model.windows:
         without = shooting.simulate(window, window.white, model.base)
-        distance = np.linalg.norm((window.positions - without.positions)[:: shooting.substeps], axis=-1)
+        try:
+            there = shooting.simulate(window, window.white, model.base, acting, mechanics.around)
+        except FloatingPointError:
+            there = window
+        distance = np.linalg.norm((there.positions - without.positions)[:: shooting.substeps], axis=-1)
         away.append(distance[len(distance) // 2 :].mean())
     return float(np.mean(away))

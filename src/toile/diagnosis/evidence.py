@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,7 +44,6 @@ class Posterior:
 
 INTERNAL = (0.0125, 0.025, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
 EXTERNAL = (0.003125, 0.00625, 0.0125, 0.025, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6)
-DISCREPANCIES = tuple(Discrepancy(a, b) for a in INTERNAL for b in EXTERNAL)
 """What is tried."""
 
 ANY = Discrepancy(np.inf, np.inf)
@@ -59,6 +58,8 @@ class Evidence:
         deviations: their prior deviations.
         slack: factor on the prior deviations of an effect's numbers.
         numbers: of the effects around which the systems are, in prior deviations; None for zeros.
+        like: evidence whose determinants of the local unknowns stand for those here; None for their own.
+            Around two motions they differ by where a fold is about to snap, which is no knowledge.
     """
 
     def __init__(
@@ -68,6 +69,7 @@ class Evidence:
         deviations: Array,
         slack: float = 1.5,
         numbers: Array | None = None,
+        like: Evidence | None = None,
     ) -> None:
         self.systems = list(systems)
         self.n_base = len(values)
@@ -76,27 +78,44 @@ class Evidence:
         self.slack = slack
         self.n_shared = len(systems[0].gradient) - len(systems[0].white)
         self.numbers = np.zeros(self.n_shared - self.n_base) if numbers is None else numbers
+        self._like = like
         self._reduced: dict[Discrepancy, Reduced] = {}
 
     def reduced(self, size: Discrepancy) -> Reduced:
         """The clip without local unknowns at a size of the discrepancy, kept."""
         if size not in self._reduced:
-            self._reduced[size] = Joined(self.systems, size).reduced
+            found = Joined(self.systems, size).reduced
+            if self._like is not None:
+                usual = self._like.reduced(size).determinant
+                constant = found.constant + found.determinant - usual
+                found = replace(found, constant=constant, determinant=usual)
+            self._reduced[size] = found
         return self._reduced[size]
 
     def posterior(
         self, columns: Sequence[int], largest: Discrepancy = ANY, slack: float | None = None
     ) -> Posterior:
         """The hypothesis that frees these columns, at its best discrepancy up to ``largest``."""
-        best: Posterior | None = None
-        for size in DISCREPANCIES:
-            if not _within(size, largest):
-                continue
-            found = self._at(columns, size, slack)
-            if best is None or found.log_evidence > best.log_evidence:
-                best = found
-        assert best is not None
-        return best
+        limit = _tried(largest)
+        internal = [d for d in INTERNAL if d <= limit.internal]
+        external = [d for d in EXTERNAL if d <= limit.external]
+        found: dict[tuple[int, int], Posterior] = {}
+
+        def at(place: tuple[int, int]) -> float:
+            if place not in found:
+                size = Discrepancy(internal[place[0]], external[place[1]])
+                found[place] = self._at(columns, size, slack)
+            return found[place].log_evidence
+
+        # Uphill from the best of three places: every size that is looked at costs an elimination of all
+        # windows. Where all is large, where inner forces are smaller, and where all are.
+        a, b = len(internal) - 1, len(external) - 1
+        here = max(((a, b), (a // 2, b), (a // 2, b // 2)), key=at)
+        while True:
+            best = max(product(_near(here[0], a), _near(here[1], b)), key=at)
+            if at(best) <= at(here):
+                return found[here]
+            here = best
 
     def signed(self, columns: Sequence[int], lowest: Array, largest: Discrepancy = ANY) -> Posterior:
         """The best hypothesis among subsets of the columns whose numbers obey their bounds.
@@ -151,36 +170,28 @@ class Evidence:
         C = reduced.matrix[:b, b:]
         return np.asarray(reduced.matrix[b:, b:] - C.T @ np.linalg.solve(A, C))
 
-    def towards(
-        self, best: Posterior, length: float, longest: Array
-    ) -> tuple[Array, Array, list[Array], float]:
-        """Some of the way to where a posterior has its mean.
+    def towards(self, best: Posterior, damping: float, longest: Array) -> tuple[Array, Array, list[Array]]:
+        """To where a posterior has its mean, or a part of the way.
 
         Args:
             best: see posterior.
-            length: share of the way.
+            damping: 0 for all the way; what a step costs beside, in prior precisions: enough of it lowers
+                the cost wherever the cost can be lowered.
             longest: change of the base values at most (n_base,).
 
         Returns:
-            Base values, the effect's numbers, changes of every window's local columns, and the share that
-            was gone: what is left of it lowers the cost once it is small enough.
+            Base values, the effect's numbers, and changes of every window's local columns.
         """
-        shared = self._shared(best.columns, best.mean, best.discrepancy)
-        length *= min(1.0, float((longest / np.maximum(np.abs(shared[: self.n_base]), 1e-9)).min()))
-        changes = [length * change for change in Joined(self.systems, best.discrepancy).locals(shared)]
-        at = [c - self.n_base for c in best.columns]
-        numbers = self.numbers[at] + length * (best.mean - self.numbers[at])
-        return self.values + length * shared[: self.n_base], numbers, changes, length
-
-    def _shared(self, columns: Sequence[int], numbers: Array, size: Discrepancy) -> Array:
-        """Change of the shared unknowns where the effect's numbers are given and the base suits them."""
-        reduced, b = self.reduced(size), self.n_base
+        joined, b = Joined(self.systems, best.discrepancy, damping), self.n_base
+        index = np.array([*range(b), *best.columns], int)
+        scale = np.concatenate((self.deviations, np.full(len(best.columns), best.slack)))
+        now = np.concatenate((self.values, self.numbers[[c - b for c in best.columns]]))
+        H = joined.reduced.matrix[np.ix_(index, index)] + np.diag((1 + damping) / scale**2)
+        step = np.linalg.solve(0.5 * (H + H.T), joined.reduced.right[index] - now / scale**2)
+        step *= min(1.0, float((longest / np.maximum(np.abs(step[:b]), 1e-9)).min()))
         shared = np.zeros(self.n_shared)
-        shared[list(columns)] = numbers - self.numbers[[c - b for c in columns]]
-        H = reduced.matrix[:b, :b] + np.diag(self.deviations**-2)
-        right = reduced.right[:b] - reduced.matrix[:b] @ shared - self.values / self.deviations**2
-        shared[:b] = np.linalg.solve(H, right)
-        return shared
+        shared[index] = step
+        return now[:b] + step[:b], now[b:] + step[b:], joined.locals(shared)
 
     def _at(
         self, columns: Sequence[int], size: Discrepancy, slack: float | None = None, *, charge: bool = True
@@ -214,9 +225,9 @@ def sign_charge(lowest: Array) -> float:
     return float(np.log(2**n - (n == len(lowest))))
 
 
-def _within(size: Discrepancy, largest: Discrepancy) -> bool:
-    limit = _tried(largest)
-    return size.internal <= limit.internal and size.external <= limit.external
+def _near(place: int, last: int) -> range:
+    """Places next to one from 0 to ``last``, and itself."""
+    return range(max(place - 1, 0), min(place + 1, last) + 1)
 
 
 def _tried(size: Discrepancy) -> Discrepancy:

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from toile.diagnosis.base_fit import base_of, local_scales
+from toile.diagnosis.base_fit import TRIED, base_of, less, local_scales, more
 from toile.diagnosis.continuity import Discrepancy
 from toile.diagnosis.evidence import Evidence, Posterior
 from toile.diagnosis.mechanics import Mechanics, effect_systems
@@ -33,9 +33,6 @@ _LONGEST = np.array([0.7, 0.7, 0.7, 2.0, 2.0])
 _LITTLE = 2.0
 # Log evidence by which a pass may change it and be the last one.
 _SETTLED = 1.0
-# Lengths of a step that are tried, and by which factor they shrink.
-_TRIED = 4
-_SHORTER = 0.4
 
 
 @dataclass(frozen=True)
@@ -49,6 +46,7 @@ class Refit:
         windows: simulated.
         evidence: of hypotheses around there.
         log_evidence: means something beside that of another hypothesis on the same clip.
+        gained: log evidence beyond that of the base model after as many passes.
         image_cost: negative log-likelihood of the fitted frames, up to a constant.
         mean, covariance: of the effect's numbers in prior deviations (n,), (n, n).
     """
@@ -58,6 +56,7 @@ class Refit:
     windows: list[WindowMotion]
     evidence: Evidence
     log_evidence: float
+    gained: float
     image_cost: float
     mean: Array
     covariance: Array
@@ -65,13 +64,14 @@ class Refit:
 
 @dataclass(frozen=True)
 class _Moved:
-    """Windows, base values and numbers of the effect after a pass, and by how much the cost has fallen."""
+    """Windows, base values and numbers of the effect after a pass, what was gained, with which damping."""
 
     windows: list[WindowMotion]
     values: Array
     numbers: Array
     effects: tuple[Effect, ...]
     gained: float
+    damping: float
 
 
 def settled(mechanics: Mechanics, camera: Camera, usual: Discrepancy, passes: int) -> Mechanics:
@@ -89,14 +89,17 @@ def settled(mechanics: Mechanics, camera: Camera, usual: Discrepancy, passes: in
     shooting, fit, evidence = mechanics.shooting, mechanics.fit, mechanics.evidence
     effects = list(mechanics.effects.values())
     n = sum(len(effect.scales) for effect in effects)
+    damping = 0.0
     for index in range(passes):
         best = evidence.posterior((), usual)
-        moved = _step(mechanics, evidence, best, None, fit.windows, np.zeros(0))
+        moved = _step(mechanics, evidence, best, None, fit.windows, np.zeros(0), damping)
         if moved is None:
             break
         fit = replace(fit, windows=moved.windows, values=moved.values)
-        if moved.gained < _LITTLE or index + 1 == passes:
+        # A short step is no sign of having arrived.
+        if (moved.damping == 0 and moved.gained < _LITTLE) or index + 1 == passes:
             break
+        damping = less(moved.damping)
         systems = effect_systems(shooting, fit, (), mechanics.around, None, 0)
         evidence = Evidence(systems, fit.values, evidence.deviations, evidence.slack)
     systems = effect_systems(shooting, fit, effects, mechanics.around, camera, n)
@@ -114,7 +117,7 @@ class Refitting:
         usual: discrepancy of a right model; the hypothesis has to do with it.
 
     Attributes:
-        log_evidence: so far, see Refit.
+        log_evidences: after every pass, see Refit; the first one is from before any.
         is_done: whether the last pass has changed little.
     """
 
@@ -130,9 +133,10 @@ class Refitting:
         self._free = [n_base + c for c in columns]
         self._windows, self._values, self._numbers = mechanics.fit.windows, mechanics.fit.values, np.zeros(n)
         self._acting: tuple[Effect, ...] = ()
-        self._evidence = Evidence(systems, self._values, first.deviations, first.slack)
+        self._evidence = Evidence(systems, self._values, first.deviations, first.slack, like=first)
+        self.log_evidences: list[float] = []
         self._judge()
-        self._passes = 0
+        self._damping = 0.0
         self.is_done = False
 
     def advance(self) -> None:
@@ -140,7 +144,15 @@ class Refitting:
         if self.is_done:
             return
         mechanics, fit = self._mechanics, self._mechanics.fit
-        moved = _step(mechanics, self._evidence, self._best, self._effect, self._windows, self._numbers)
+        moved = _step(
+            mechanics,
+            self._evidence,
+            self._best,
+            self._effect,
+            self._windows,
+            self._numbers,
+            self._damping,
+        )
         if moved is None:
             self.is_done = True
             return
@@ -150,15 +162,17 @@ class Refitting:
         n = len(self._numbers)
         systems = effect_systems(mechanics.shooting, around, self._acting, mechanics.around, None, n)
         first = mechanics.evidence
-        self._evidence = Evidence(systems, self._values, first.deviations, first.slack, self._numbers)
-        before = self.log_evidence
+        self._evidence = Evidence(
+            systems, self._values, first.deviations, first.slack, self._numbers, like=first
+        )
         self._judge()
-        self._passes += 1
         # The first pass may lead through places that are worse.
-        self.is_done = self._passes > 1 and abs(self.log_evidence - before) < _SETTLED
+        little = abs(self.log_evidences[-1] - self.log_evidences[-2]) < _SETTLED
+        self.is_done = len(self.log_evidences) > 2 and moved.damping == 0 and little
+        self._damping = less(moved.damping)
 
-    def result(self) -> Refit:
-        """Where it is."""
+    def result(self, base_model: Refitting) -> Refit:
+        """Where it is, beside the base model."""
         n, n_base = len(self._numbers), self._evidence.n_base
         mean, covariance = np.zeros(n), np.zeros((n, n))
         at = [c - n_base for c in self._best.columns]
@@ -170,7 +184,9 @@ class Refitting:
             base,
             self._windows,
             self._evidence,
-            self.log_evidence,
+            self.log_evidences[-1],
+            # What more passes bring any model is no merit of the one that has had them.
+            self.log_evidences[-1] - base_model.log_evidences[: len(self.log_evidences)][-1],
             self._image_cost,
             mean,
             covariance,
@@ -179,7 +195,7 @@ class Refitting:
     def _judge(self) -> None:
         self._best = self._evidence.scaled(self._free, self._usual)
         self._image_cost = sum(map(self._mechanics.shooting.image_cost, self._windows))
-        self.log_evidence = self._best.log_evidence - self._image_cost
+        self.log_evidences.append(self._best.log_evidence - self._image_cost)
 
 
 def refits(
@@ -214,13 +230,13 @@ def refits(
         report("refit of the base model", done / total)
         base.advance()
         done += 1
-        running = sorted(running, key=lambda name: charges[name] - models[name].log_evidence)[:count]
+        running = sorted(running, key=lambda name: charges[name] - models[name].log_evidences[-1])[:count]
         for name in running:
             report(f"refit with {name}", done / total)
             models[name].advance()
             done += 1
-    found = {name: model.result() for name, model in models.items()}
-    return base.result(), {name: model for name, model in found.items() if model.effects}
+    found = {name: model.result(base) for name, model in models.items()}
+    return base.result(base), {name: model for name, model in found.items() if model.effects}
 
 
 def _step(
@@ -230,6 +246,7 @@ def _step(
     effect: Effect | None,
     windows: list[WindowMotion],
     numbers: Array,
+    damping: float,
 ) -> _Moved | None:
     """One pass; None where no step lowers the cost."""
     shooting, start = mechanics.shooting, mechanics.fit.start_stiffness
@@ -241,9 +258,8 @@ def _step(
         return images + 0.5 * float(prior.sum() + ((own[at] / best.slack) ** 2).sum())
 
     before = cost(windows, evidence.values, numbers)
-    length = 1.0
-    for _ in range(_TRIED):
-        values, own, changes, length = evidence.towards(best, length, _LONGEST)
+    for _ in range(TRIED):
+        values, own, changes = evidence.towards(best, damping, _LONGEST)
         trial = numbers.copy()
         trial[at] = own
         acting: tuple[Effect, ...] = ()
@@ -266,10 +282,10 @@ def _step(
             ]
         except FloatingPointError:
             # Effects can be strong enough to blow up a step.
-            length *= _SHORTER
+            damping = more(damping)
             continue
         gained = before - cost(moved, values, trial)
         if gained > 0 and all(window.converged for window in moved):
-            return _Moved(moved, values, trial, acting, gained)
-        length *= _SHORTER
+            return _Moved(moved, values, trial, acting, gained, damping)
+        damping = more(damping)
     return None

@@ -27,6 +27,12 @@ Array = NDArray[np.float64]
 Single = NDArray[np.float32]
 
 
+# Growth of a change in one step that is followed. Where a fold is about to snap it is without bounds, and no
+# tangent holds for long: then the smallest share of the convex Hessian is taken with which it is not faster.
+_FASTEST = 5.0
+_CONVEX = (0.0, 0.1, 0.25, 0.5, 0.75, 1.0)
+
+
 @dataclass(frozen=True)
 class StepForces:
     """What acted in one sub-step of a known motion.
@@ -269,18 +275,19 @@ class KnownMotion:
         assembly = self.simulator.assembly
         extra = self._scene.vertices
         exact, coupling = potential_hessian(assembly, x, self.stiffness, extra, convex=False)
-        band = exact.copy()
+        convex: Array | None = None
+        for share in _CONVEX:
+            band = exact.copy()
+            if share > 0:
+                if convex is None:
+                    convex, _ = potential_hessian(assembly, x, self.stiffness, extra, convex=True)
+                band = (1 - share) * exact + share * convex
+            slower = band.copy()
+            assembly.add_diagonal(slower, (1 - 1 / _FASTEST) * inertia)
+            if share == _CONVEX[-1] or BandedCholesky.factorise(slower) is not None:
+                break
         assembly.add_diagonal(band, inertia)
         factor = BandedCholesky.factorise(band)
         if factor is None:
-            # A point on the way through a buckling: the smallest share of the convex Hessian that helps.
-            convex, _ = potential_hessian(assembly, x, self.stiffness, extra, convex=True)
-            for share in (0.1, 0.25, 0.5, 0.75, 1.0):
-                band = (1 - share) * exact + share * convex
-                assembly.add_diagonal(band, inertia)
-                factor = BandedCholesky.factorise(band)
-                if factor is not None:
-                    break
-            else:
-                raise FloatingPointError("the Hessian is not positive definite without its indefinite parts")
+            raise FloatingPointError("the Hessian is not positive definite without its indefinite parts")
         return BlockFactor(factor), coupling

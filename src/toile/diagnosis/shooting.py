@@ -59,7 +59,7 @@ class ShootingSettings:
     """
 
     window: int = 8
-    modes: int = 4
+    modes: int = 6
     force_knot: int = 4
     anchor_knot: int = 2
     start_position: float = 0.003
@@ -72,9 +72,9 @@ class ShootingSettings:
     force: float = 0.7
     external: float = 0.1
     trust: float = 0.01
-    sweeps: int = 2
+    sweeps: int = 1
     iterations: int = 4
-    passes: int = 6
+    passes: int = 16
 
 
 @dataclass(frozen=True)

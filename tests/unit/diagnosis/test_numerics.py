@@ -41,7 +41,7 @@ def error(substeps: int) -> float:
     stiffness = np.array([400.0, 1e-2, 1e-4])
     state = State.start(x, torch.zeros_like(x), simulator.time_step, simulator.n_past)
     white = np.zeros(shooting.layout(FRAMES - 1)[2])
-    fit = BaseFit([], stiffness, np.zeros(5), np.eye(5), 0.0, ())
+    fit = BaseFit([], stiffness, np.zeros(5), 0.0, ())
     window = shooting.simulate(WindowMotion(0, FRAMES - 1, state, white), white, fit.base)
     fit.windows.append(window)
     assert window.converged
