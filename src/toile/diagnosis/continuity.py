@@ -102,15 +102,19 @@ class Joined:
     Args:
         systems: in the order of time.
         size: of the discrepancy.
-        damping: what a step costs beside, for every local unknown [1/deviation²] (Levenberg 1944).
+        damping: what a step costs beside, for every local unknown [1/deviation²] (Levenberg 1944); of each
+            window, or of all.
     """
 
-    def __init__(self, systems: Sequence[WindowSystem], size: Discrepancy, damping: float = 0.0) -> None:
+    def __init__(
+        self, systems: Sequence[WindowSystem], size: Discrepancy, damping: float | Array = 0.0
+    ) -> None:
         n = len(systems[0].gradient) - len(systems[0].white)
         shared, right = np.zeros((n, n)), np.zeros(n)
         constant = 0.0
         self._steps: list[_Eliminated] = []
-        for s in systems:
+        each = np.broadcast_to(damping, len(systems))
+        for s, damped in zip(systems, each, strict=True):
             scale, mean = _scaled(s, size)
             local = len(scale)
             # Columns: [local | shared | right-hand side].
@@ -121,7 +125,7 @@ class Joined:
             m = 0 if s.link is None else len(s.link.jump)
             free = np.arange(m, local)
             own[free, free] += 1
-            own[np.diag_indices(local)] += damping
+            own[np.diag_indices(local)] += damped
             rest[m:, n] -= mean[m:]
             shared += s.matrix[:n, :n]
             right -= s.gradient[:n]

@@ -170,7 +170,9 @@ class Evidence:
         C = reduced.matrix[:b, b:]
         return np.asarray(reduced.matrix[b:, b:] - C.T @ np.linalg.solve(A, C))
 
-    def towards(self, best: Posterior, damping: float, longest: Array) -> tuple[Array, Array, list[Array]]:
+    def towards(
+        self, best: Posterior, damping: float, longest: Array, held: NDArray[np.bool_] | None = None
+    ) -> tuple[Array, Array, list[Array]]:
         """To where a posterior has its mean, or a part of the way.
 
         Args:
@@ -178,11 +180,15 @@ class Evidence:
             damping: 0 for all the way; what a step costs beside, in prior precisions: enough of it lowers
                 the cost wherever the cost can be lowered.
             longest: change of the base values at most (n_base,).
+            held: windows whose own unknowns stay as they are (n_windows,).
 
         Returns:
             Base values, the effect's numbers, and changes of every window's local columns.
         """
-        joined, b = Joined(self.systems, best.discrepancy, damping), self.n_base
+        each = np.full(len(self.systems), damping)
+        if held is not None:
+            each[held] = _HELD
+        joined, b = Joined(self.systems, best.discrepancy, each), self.n_base
         index = np.array([*range(b), *best.columns], int)
         scale = np.concatenate((self.deviations, np.full(len(best.columns), best.slack)))
         now = np.concatenate((self.values, self.numbers[[c - b for c in best.columns]]))
@@ -241,5 +247,7 @@ def _tried(size: Discrepancy) -> Discrepancy:
 # Numbers from which on their scale is found, and what is tried: shares of the usual one.
 _MANY = 4
 _SHARES = (0.05, 0.15, 0.4, 1.0)
+# Damping that holds a window back.
+_HELD = 1e6
 # Log evidence taken from an effect whose every sign is impossible.
 _FORBIDDEN = 20.0

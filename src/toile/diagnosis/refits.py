@@ -33,6 +33,8 @@ _LONGEST = np.array([0.7, 0.7, 0.7, 2.0, 2.0])
 _LITTLE = 2.0
 # Log evidence by which a pass may change it and be the last one.
 _SETTLED = 1.0
+# Windows whose cost rises by this share of the largest rise are held back where no step of all helps.
+_WORST = 0.1
 
 
 @dataclass(frozen=True)
@@ -257,35 +259,49 @@ def _step(
         images = shooting.clip_cost(moved, best.discrepancy)
         return images + 0.5 * float(prior.sum() + ((own[at] / best.slack) ** 2).sum())
 
+    def simulated(changes: list[Array], base: Array, acting: tuple[Effect, ...]) -> list[WindowMotion]:
+        return [
+            shooting.simulate(
+                window,
+                window.white + change / local_scales(shooting, window.last - window.first),
+                base_of(start, base),
+                acting,
+                mechanics.around,
+            )
+            for window, change in zip(windows, changes, strict=True)
+        ]
+
     before = cost(windows, evidence.values, numbers)
-    for _ in range(TRIED):
-        values, own, changes = evidence.towards(best, damping, _LONGEST)
-        trial = numbers.copy()
-        trial[at] = own
-        acting: tuple[Effect, ...] = ()
-        if effect is not None:
-            low = np.array([p.low / p.scale for p in effect.parameters])
-            high = np.array([p.high / p.scale for p in effect.parameters])
-            trial = trial.clip(low, high)
-            acting = (effect.with_values(torch.from_numpy(trial) * effect.scales),)
-        base = base_of(start, values)
-        try:
-            moved = [
-                shooting.simulate(
-                    window,
-                    window.white + change / local_scales(shooting, window.last - window.first),
-                    base,
-                    acting,
-                    mechanics.around,
-                )
-                for window, change in zip(windows, changes, strict=True)
-            ]
-        except FloatingPointError:
-            # Effects can be strong enough to blow up a step.
-            damping = more(damping)
-            continue
-        gained = before - cost(moved, values, trial)
-        if gained > 0 and all(window.converged for window in moved):
-            return _Moved(moved, values, trial, acting, gained, damping)
-        damping = more(damping)
+    seen = np.array([shooting.image_cost(window) for window in windows])
+    held: NDArray[np.bool_] | None = None
+    for _ in range(2):
+        risen: Array | None = None
+        tried = damping
+        for _ in range(TRIED):
+            values, own, changes = evidence.towards(best, tried, _LONGEST, held)
+            trial = numbers.copy()
+            trial[at] = own
+            acting: tuple[Effect, ...] = ()
+            if effect is not None:
+                low = np.array([p.low / p.scale for p in effect.parameters])
+                high = np.array([p.high / p.scale for p in effect.parameters])
+                trial = trial.clip(low, high)
+                acting = (effect.with_values(torch.from_numpy(trial) * effect.scales),)
+            try:
+                moved = simulated(changes, values, acting)
+            except FloatingPointError:
+                # Effects can be strong enough to blow up a step.
+                tried = more(tried)
+                continue
+            gained = before - cost(moved, values, trial)
+            if gained > 0 and all(window.converged for window in moved):
+                return _Moved(moved, values, trial, acting, gained, tried)
+            if risen is None:
+                risen = np.array([shooting.image_cost(window) for window in moved]) - seen
+            tried = more(tried)
+        # A fold that snaps at the slightest change makes its window worse whatever the others gain.
+        held = None if risen is None else risen > _WORST * risen.max()
+        if held is None or held.all():
+            return None
+        damping = 0.0
     return None

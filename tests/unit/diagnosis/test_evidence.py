@@ -204,6 +204,17 @@ def test_the_way_to_the_mean_is_gone_as_far_as_is_allowed() -> None:
     np.testing.assert_allclose(part, 0.25 * best.mean)
 
 
+def test_a_window_that_is_held_stays_and_the_others_move() -> None:
+    systems, _, _ = problem(3, 0.5)
+    evidence = Evidence(systems, np.zeros(2), np.ones(2))
+    best = evidence.posterior((2,))
+    every = evidence.towards(best, 0.0, np.full(2, np.inf))[2]
+    held = np.arange(len(systems)) == 1
+    changes = evidence.towards(best, 0.0, np.full(2, np.inf), held)[2]
+    assert np.abs(changes[1]).max() < 1e-3 * np.abs(every[1]).max()
+    assert np.abs(changes[0]).max() > 0.1 * np.abs(every[0]).max()
+
+
 def test_some_of_the_shared_columns() -> None:
     systems, _, _ = problem(6, 0.5)
     whole = Evidence(systems, np.zeros(2), np.ones(2))
