@@ -29,6 +29,9 @@ KINDS = (MOVING, (Stage.CAMERA, Stage.OBSERVATION), (Stage.APPEARANCE,))
 """Stages whose effects leave the same sort of trace: in the motion, in the outline, in the colours."""
 # Deviations of what is usual, at least: few scenes without effect show few of the ways to be misled.
 _LEAST, _LEAST_MOVING = 1.0, 2.0
+# ... and one of them that misleads is no rule: as many scenes of evidence zero and that deviation are taken
+# for granted.
+_GRANTED = 4
 TARGET = Path(__file__).parent.parent / "src/toile/diagnosis/calibration.json"
 
 
@@ -83,14 +86,12 @@ def calibrate(cases: list[Case], source: str, before: Calibration | None = None)
         # What speaks against an effect does not make it harder to believe where something speaks for it.
         values = [max(c.evidence[effect], 0) for c in cases if effect in c.evidence and is_quiet(c, effect)]
         if len(values) >= 3:
-            usual[effect] = float(np.mean(values))
             least = _LEAST_MOVING if STAGES[effect] in MOVING else _LEAST
-            spread[effect] = max(least, float(np.std(values, ddof=1)))
+            usual[effect], spread[effect] = _usual(values, least)
     quiet = [
         c.evidence[UNKNOWN] for c in cases if c.truth == NONE or STAGES.get(c.truth) not in (None, *MOVING)
     ]
-    usual[UNKNOWN] = float(np.mean(quiet)) if quiet else 0.0
-    spread[UNKNOWN] = max(_LEAST_MOVING, float(np.std(quiet, ddof=1)) if len(quiet) > 2 else 0.0)
+    usual[UNKNOWN], spread[UNKNOWN] = _usual(quiet, _LEAST_MOVING)
     if before is not None:
         usual, spread = dict(before.usual), dict(before.spread)
     best: tuple[float, Calibration] | None = None
@@ -103,6 +104,14 @@ def calibrate(cases: list[Case], source: str, before: Calibration | None = None)
             best = float(score), tried
     assert best is not None
     return best[1]
+
+
+def _usual(values: list[float], least: float) -> tuple[float, float]:
+    """Mean and deviation of evidence without its effect; the deviation is at least ``least``."""
+    n = len(values) + _GRANTED
+    mean = float(np.sum(values)) / n
+    squares = float(np.sum((np.array(values) - mean) ** 2)) + _GRANTED * least**2
+    return mean, max(least, float(np.sqrt(squares / (n - 1))))
 
 
 def main() -> None:

@@ -16,9 +16,12 @@ from pathlib import Path
 import toile.cli  # noqa: F401  # isort: skip  # first, because it sets the number of threads
 
 import pandas as pd
+from calibrate_diagnosis import read_case
 
 from toile.atomic_file import write_text
 from toile.cli.diagnose import diagnose_scene
+from toile.diagnosis.decision import UNKNOWN, Calibration, probabilities
+from toile.diagnosis.verdict import verdict_of
 from toile.evaluation.diagnosis_record import DIAGNOSIS_FILE, GapReport
 
 OUTPUT = Path("outputs/independent")
@@ -36,7 +39,10 @@ def row(scene: Path) -> dict[str, str]:
     if not path.is_file():
         return {"scene": scene.name, "label": _label(scene), "answer": "not run"}
     report = GapReport.read(path)
-    verdict = report.verdict
+    # From the measured evidence, so that runs of labelled scenes that made a calibration serve it as well.
+    evidence = read_case(path.parent, {scene.name: "none"}).evidence
+    chances, calibration = probabilities(evidence, Calibration.load()), Calibration.load()
+    verdict = verdict_of(chances, {k: v for k, v in evidence.items() if k != UNKNOWN}, calibration, {})
     first = report.effect(verdict.effect)
     shrink = first.shrink if first is not None else None
     return {
@@ -77,8 +83,8 @@ def main() -> None:
             write_text(RESULTS / "independent" / f"{scene.name}.json", answer.read_text())
     text = f"""# Scenes of the independent engine
 Made by `make independent` (`toile diagnose`, default settings). The labelled scenes helped to develop the
-diagnosis and are no test of it; the labels of the withheld ones are not known here, and the whole answers
-are in `independent/`.
+diagnosis and are no test of it (`23a8be`, `69da5d` and `a1cb40` are in its calibration); the labels of the
+withheld ones are not known here, and the whole answers are in `independent/`.
 
 {table.to_markdown(index=False)}
 """
