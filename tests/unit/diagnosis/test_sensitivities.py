@@ -9,6 +9,7 @@ import torch
 from toile.cloth.cloth import grid_cloth
 from toile.cloth.material import Material
 from toile.cloth.state import State
+from toile.diagnosis import sensitivities
 from toile.diagnosis.effect_columns import FORCES, Instant, force_columns
 from toile.diagnosis.sensitivities import BlockFactor, Columns, KnownMotion, StepForces
 from toile.effects.base import Effect, Surroundings
@@ -37,6 +38,12 @@ def start(around: Surroundings) -> torch.Tensor:
     i, j = torch.meshgrid(torch.arange(GRID[0]), torch.arange(GRID[1]), indexing="ij")
     x = torch.stack((i * 0.06 * 0.98, j * 0.06, 1 + 0.01 * torch.sin(1.0 * i) + 0.004 * j), -1)
     return x.reshape(1, -1, 3).to(torch.float64)
+
+
+@pytest.fixture
+def unlimited(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tangents as they are, however fast changes grow."""
+    monkeypatch.setattr(sensitivities, "_FASTEST", 1e12)
 
 
 def simulate(effects, around: Surroundings) -> np.ndarray:
@@ -94,7 +101,7 @@ def effect_tangents(
 @pytest.mark.parametrize(
     "name", [n for n, e in CATALOGUE.items() if issubclass(e, FORCES) and n != "contact"]
 )
-def test_columns_are_the_derivatives_of_the_simulation(name: str) -> None:
+def test_columns_are_the_derivatives_of_the_simulation(name: str, unlimited: None) -> None:
     """To first order: what effects do to later velocities through themselves is of second order here."""
     around = surroundings()
     effect = CATALOGUE[name]()
@@ -125,7 +132,7 @@ def test_the_required_force_is_the_one_that_acted() -> None:
 @pytest.mark.parametrize(
     "name", [n for n, e in CATALOGUE.items() if issubclass(e, FORCES) and n != "contact"]
 )
-def test_columns_hold_where_an_effect_is_strong(name: str) -> None:
+def test_columns_hold_where_an_effect_is_strong(name: str, unlimited: None) -> None:
     """What damping, drag and changed stiffness do to later motion is in the tangents, not in the columns."""
     around = surroundings()
     plain_effect = CATALOGUE[name]()
@@ -143,3 +150,28 @@ def test_columns_hold_where_an_effect_is_strong(name: str) -> None:
         change = (ahead - behind)[1:] / 2e-4
         error = np.linalg.norm(tangents[k] - change) / max(np.linalg.norm(change), 1e-12)
         assert error < 1e-4, (effect.parameters[k].name, error)
+
+
+def growth(scale: float) -> float:
+    """Fastest growth of a change in one step of a cloth whose start is scaled by a factor."""
+    around = surroundings()
+    x = scale * start(around)[0].numpy()
+    simulator = ImplicitSimulator(around.cloth, STEP, BDF2(), NewtonSettings(1e-10))
+    motion = KnownMotion(simulator, np.stack((x, x)), STIFFNESS)
+    motion.step(0)
+    _, inertia = motion.coefficients(0)
+    factor, _ = motion._factor(x, inertia)
+    place = np.argsort(simulator.assembly._to_band)
+    weight = np.sqrt(np.repeat(inertia, 3))[place]
+    free = simulator.assembly.free.reshape(-1)[place] > 0
+    inverse = factor.solve(np.eye(factor.n, dtype=np.float32))
+    scaled = (weight[:, None] * inverse * weight)[np.ix_(free, free)]
+    return float(np.linalg.eigvalsh(0.5 * (scaled + scaled.T)).max())
+
+
+def test_no_change_grows_faster_than_is_followed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Between slack and taut a cloth is about to buckle, and its tangents would be without bounds."""
+    scales = np.linspace(1.0, 1.02, 21)
+    assert max(map(growth, scales)) < 1.02 * sensitivities._FASTEST
+    monkeypatch.setattr(sensitivities, "_FASTEST", 1e12)
+    assert max(map(growth, scales)) > 2 * 5
