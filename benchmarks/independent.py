@@ -15,12 +15,14 @@ from pathlib import Path
 
 import toile.cli  # noqa: F401  # isort: skip  # first, because it sets the number of threads
 
+import numpy as np
 import pandas as pd
 from calibrate_diagnosis import read_case
 
 from toile.atomic_file import write_text
 from toile.cli.diagnose import diagnose_scene
 from toile.diagnosis.decision import UNKNOWN, Calibration, probabilities
+from toile.diagnosis.diagnose import SCREENING_FILE
 from toile.diagnosis.verdict import verdict_of
 from toile.evaluation.diagnosis_record import DIAGNOSIS_FILE, GapReport
 
@@ -53,8 +55,17 @@ def row(scene: Path) -> dict[str, str]:
         "stage": verdict.stage,
         "probability": f"{verdict.probability:.2f}",
         "naive": report.protocol.naive,
+        "hindsight": _hindsight(path.parent),
         "held-out error [mm]": "" if shrink is None else f"{shrink.base:.1f} -> {shrink.with_effect:.1f}",
     }
+
+
+def _hindsight(run: Path) -> str:
+    """The two effects with the largest log evidence from the fitted frames."""
+    with np.load(run / SCREENING_FILE) as stored:
+        found = zip(stored["hindsight"].tolist(), stored["names"].tolist(), strict=False)
+        best = sorted(found, reverse=True)[:2]
+    return ", ".join(f"{name} {value:.0f}" for value, name in best)
 
 
 def _label(scene: Path) -> str:
