@@ -93,9 +93,10 @@ def main() -> None:
         if answer.is_file() and not (scene / "label.json").is_file():
             write_text(RESULTS / "independent" / f"{scene.name}.json", answer.read_text())
     text = f"""# Scenes of the independent engine
-Made by `make independent` (`toile diagnose`, default settings). The labelled scenes helped to develop the
-diagnosis and are no test of it (`23a8be`, `69da5d` and `a1cb40` are in its calibration); the labels of the
-withheld ones are not known here, and the whole answers are in `independent/`.
+Made by `make independent` (`toile diagnose`, default settings); answers from the measured evidence with the
+committed calibration. The labelled scenes helped to develop the diagnosis and are no test of it (`23a8be`,
+`69da5d`, `a1cb40` and `f6e34f` are in its calibration); the labels of the withheld ones are not known here,
+and the whole answers are in `independent/`.
 
 {table.to_markdown(index=False)}
 """
