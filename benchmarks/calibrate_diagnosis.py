@@ -22,8 +22,10 @@ from toile.atomic_file import write_text
 from toile.diagnosis.decision import NONE, UNKNOWN, Calibration, Weights, probabilities
 from toile.diagnosis.diagnose import SCREENING_FILE
 from toile.diagnosis.effect_columns import FORCES
+from toile.diagnosis.verdict import verdict_of
 from toile.effects.base import Stage
 from toile.effects.catalogue import CATALOGUE, MOVING, STAGES
+from toile.evaluation.diagnosis_record import Verdict
 
 KINDS = (MOVING, (Stage.CAMERA, Stage.OBSERVATION), (Stage.APPEARANCE,))
 """Stages whose effects leave the same sort of trace: in the motion, in the outline, in the colours."""
@@ -50,8 +52,8 @@ class Case:
     evidence: dict[str, float]
 
 
-def read_case(run: Path, labels: dict[str, str]) -> Case:
-    """One run with its label."""
+def evidence_of(run: Path) -> dict[str, float]:
+    """Log evidence of a run by effect, and for UNKNOWN, by the present weights."""
     with np.load(run / SCREENING_FILE) as stored:
         weights = Weights()
         evidence = {}
@@ -64,9 +66,24 @@ def read_case(run: Path, labels: dict[str, str]) -> Case:
             moved = np.inf if np.isnan(size) else float(size)
             evidence[name] = weights.combined(float(hindsight), gain, moved) if moves else float(hindsight)
         evidence[UNKNOWN] = weights.combined(float(stored["unknown"]), 0.0)
+    return evidence
+
+
+def verdict_by(evidence: dict[str, float], calibration: Calibration) -> Verdict:
+    """What a calibration makes of evidence; runs of any other one serve as well."""
+    return verdict_of(
+        probabilities(evidence, calibration),
+        {name: value for name, value in evidence.items() if name != UNKNOWN},
+        calibration,
+        {},
+    )
+
+
+def read_case(run: Path, labels: dict[str, str]) -> Case:
+    """One run with its label."""
     label = labels[run.name]
     truth = label if label in STAGES or label == NONE else UNKNOWN
-    return Case(run.name, truth, evidence)
+    return Case(run.name, truth, evidence_of(run))
 
 
 def is_quiet(case: Case, effect: str) -> bool:

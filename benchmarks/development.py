@@ -18,13 +18,12 @@ import toile.cli  # noqa: F401  # isort: skip  # first, because it sets the numb
 
 import numpy as np
 import pandas as pd
-from calibrate_diagnosis import read_case
+from calibrate_diagnosis import evidence_of, verdict_by
 
 from toile.atomic_file import write_text, written_atomically
 from toile.cli.diagnose import diagnose_scene
-from toile.diagnosis.decision import UNKNOWN, Calibration, probabilities
+from toile.diagnosis.decision import Calibration, probabilities
 from toile.diagnosis.diagnose import SCREENING_FILE, TRACKED_FILE
-from toile.diagnosis.verdict import verdict_of
 from toile.evaluation.diagnosis_record import DIAGNOSIS_FILE, GapReport
 from toile.generation.reality.base_scene import RealitySettings
 from toile.generation.reality.blind_set import PlannedScene, write_opaque
@@ -98,10 +97,8 @@ def row(scene: PlannedScene, runs: Path) -> dict[str, object]:
         true = stored["vertices"].astype(float)
     with np.load(runs / scene.name / TRACKED_FILE) as stored:
         off = stored["positions"].reshape(true.shape) - true
-    evidence = read_case(runs / scene.name, {scene.name: truth}).evidence
-    # From the measured evidence, so that runs serve another calibration as well.
-    chances = probabilities(evidence, Calibration.load())
-    verdict = verdict_of(chances, {k: v for k, v in evidence.items() if k != UNKNOWN}, Calibration.load(), {})
+    evidence, calibration = evidence_of(runs / scene.name), Calibration.load()
+    chances, verdict = probabilities(evidence, calibration), verdict_by(evidence, calibration)
     with np.load(runs / scene.name / SCREENING_FILE) as stored:
         seen = {
             name: f"{name} {float(hindsight):.1f} / {float(gain):.2f} / {100 * float(size):.2f}".replace(

@@ -17,13 +17,12 @@ import toile.cli  # noqa: F401  # isort: skip  # first, because it sets the numb
 
 import numpy as np
 import pandas as pd
-from calibrate_diagnosis import read_case
+from calibrate_diagnosis import evidence_of, verdict_by
 
 from toile.atomic_file import write_text
 from toile.cli.diagnose import diagnose_scene
-from toile.diagnosis.decision import UNKNOWN, Calibration, probabilities
+from toile.diagnosis.decision import Calibration
 from toile.diagnosis.diagnose import SCREENING_FILE
-from toile.diagnosis.verdict import verdict_of
 from toile.evaluation.diagnosis_record import DIAGNOSIS_FILE, GapReport
 
 OUTPUT = Path("outputs/independent")
@@ -42,9 +41,7 @@ def row(scene: Path) -> dict[str, str]:
         return {"scene": scene.name, "label": _label(scene), "answer": "not run"}
     report = GapReport.read(path)
     # From the measured evidence, so that runs of labelled scenes that made a calibration serve it as well.
-    evidence = read_case(path.parent, {scene.name: "none"}).evidence
-    chances, calibration = probabilities(evidence, Calibration.load()), Calibration.load()
-    verdict = verdict_of(chances, {k: v for k, v in evidence.items() if k != UNKNOWN}, calibration, {})
+    verdict = verdict_by(evidence_of(path.parent), Calibration.load())
     first = report.effect(verdict.effect)
     shrink = first.shrink if first is not None else None
     return {
@@ -63,7 +60,7 @@ def row(scene: Path) -> dict[str, str]:
 def _hindsight(run: Path) -> str:
     """The two effects with the largest log evidence from the fitted frames."""
     with np.load(run / SCREENING_FILE) as stored:
-        found = zip(stored["hindsight"].tolist(), stored["names"].tolist(), strict=False)
+        found = zip(stored["hindsight"].tolist(), stored["names"].tolist(), strict=True)
         best = sorted(found, reverse=True)[:2]
     return ", ".join(f"{name} {value:.0f}" for value, name in best)
 

@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_solve
 
 from toile.cloth.state import State
-from toile.diagnosis.continuity import Discrepancy, Joined, Link, WindowSystem
+from toile.diagnosis.continuity import Discrepancy, Link, WindowSystem
+from toile.diagnosis.damping import TRIED, less, more
+from toile.diagnosis.evidence import Evidence
 from toile.diagnosis.positive import positive_factor
 from toile.diagnosis.sensitivities import StepForces
 from toile.diagnosis.shooting import Base, Shooting, WindowMotion
@@ -45,20 +47,6 @@ class BaseFit:
     def base(self) -> Base:
         """Stiffness and wind."""
         return base_of(self.start_stiffness, self.values)
-
-
-TRIED = 5
-"""Steps of a pass that are tried, each with more damping."""
-
-
-def more(damping: float) -> float:
-    """Damping after a step that did not lower the cost (Levenberg 1944, Marquardt 1963)."""
-    return max(_STRONGER * damping, _DAMPING)
-
-
-def less(damping: float) -> float:
-    """Damping after a step that did."""
-    return damping / _WEAKER if damping > _DAMPING / _WEAKER else 0.0
 
 
 def base_of(start: Array, values: Array) -> Base:
@@ -146,21 +134,16 @@ def fit_base(
         base = base_of(stiffness, values)
         columns = base_columns(shooting, base)
         systems = window_systems(shooting, windows, base, [columns] * len(windows), nothing_seen, N_BASE)
+        evidence = Evidence(systems, values, deviation)
         before = cost + 0.5 * float(((values / deviation) ** 2).sum())
         for _ in range(TRIED):
             # All together: shared unknowns that hold back while local ones go all the way may get stuck.
-            joined = Joined(systems, fitted_discrepancy(shooting), damping)
-            H = joined.reduced.matrix + np.diag((1 + damping) * deviation**-2)
-            right = joined.reduced.right - values / deviation**2
-            step = np.asarray(np.linalg.solve(0.5 * (H + H.T), right), np.float64)
-            # Logarithms of stiffness by at most a factor of two at once.
-            step *= min(1.0, 0.7 / max(float(np.abs(step[:3]).max()), 1e-9))
-            trial = values + step
+            trial, _, changes = evidence.towards((), fitted_discrepancy(shooting), damping, _LONGEST)
             moved = [
                 shooting.simulate(
                     w, w.white + d / local_scales(shooting, w.last - w.first), base_of(stiffness, trial)
                 )
-                for w, d in zip(windows, joined.locals(step), strict=True)
+                for w, d in zip(windows, changes, strict=True)
             ]
             trial_cost = shooting.clip_cost(moved)
             after = trial_cost + 0.5 * float(((trial / deviation) ** 2).sum())
@@ -304,5 +287,5 @@ def _sweep(
 _STALLED = 0.002
 _NOTHING = 0.5
 _STALLED_WINDOW = 0.05
-# Damping of the first step that has any, in prior precisions, and by which factors it grows and falls.
-_DAMPING, _STRONGER, _WEAKER = 10.0, 5.0, 4.0
+# Logarithms of stiffness change by at most a factor of two at once.
+_LONGEST = np.array([0.7, 0.7, 0.7, np.inf, np.inf])

@@ -87,7 +87,7 @@ class Reduced:
     """A system without local unknowns: ½ sᵀ matrix s - right·s - constant in the shared ones s.
 
     Attributes:
-        determinant: half the log determinant of the local unknowns; the constant holds minus that.
+        determinant: half the log determinant of the local unknowns, not in the constant.
     """
 
     matrix: Array
@@ -197,7 +197,7 @@ class _Eliminated:
         self.half, self.half_next = solved[:, : self.rest.shape[1]], solved[:, self.rest.shape[1] :]
         half = self.half[:, -1]
         self.determinant = float(np.log(np.diag(self.factor)).sum())
-        self.constant = 0.5 * float(half @ half) - self.determinant
+        self.constant = 0.5 * float(half @ half)
 
 
 def _scaled(s: WindowSystem, size: Discrepancy) -> tuple[Array, Array]:

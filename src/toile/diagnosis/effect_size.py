@@ -8,10 +8,9 @@ Testing precise hypotheses).
 from __future__ import annotations
 
 import numpy as np
-import torch
 
 from toile.diagnosis.mechanics import Mechanics
-from toile.diagnosis.refits import Refit
+from toile.diagnosis.refits import Refit, acting_with, within_bounds
 
 
 def effect_size(mechanics: Mechanics, model: Refit) -> float:
@@ -21,16 +20,14 @@ def effect_size(mechanics: Mechanics, model: Refit) -> float:
     """
     shooting = mechanics.shooting
     (effect,) = model.effects
-    low = np.array([p.low / p.scale for p in effect.parameters])
-    high = np.array([p.high / p.scale for p in effect.parameters])
-    numbers = torch.from_numpy(model.mean.clip(low, high)) * effect.scales
-    acting = (effect.with_values(numbers),)
+    acting = (acting_with(effect, within_bounds(effect, model.mean)),)
     away = []
     for window in model.windows:
         without = shooting.simulate(window, window.white, model.base)
         try:
             there = shooting.simulate(window, window.white, model.base, acting, mechanics.around)
         except FloatingPointError:
+            # So strong that a step blows up here; the refit's own numbers did not.
             there = window
         distance = np.linalg.norm((there.positions - without.positions)[:: shooting.substeps], axis=-1)
         away.append(distance[len(distance) // 2 :].mean())

@@ -86,9 +86,7 @@ class Evidence:
         if size not in self._reduced:
             found = Joined(self.systems, size).reduced
             if self._like is not None:
-                usual = self._like.reduced(size).determinant
-                constant = found.constant + found.determinant - usual
-                found = replace(found, constant=constant, determinant=usual)
+                found = replace(found, determinant=self._like.reduced(size).determinant)
             self._reduced[size] = found
         return self._reduced[size]
 
@@ -171,16 +169,24 @@ class Evidence:
         return np.asarray(reduced.matrix[b:, b:] - C.T @ np.linalg.solve(A, C))
 
     def towards(
-        self, best: Posterior, damping: float, longest: Array, held: NDArray[np.bool_] | None = None
+        self,
+        columns: Sequence[int],
+        size: Discrepancy,
+        damping: float,
+        longest: Array,
+        held: NDArray[np.bool_] | None = None,
+        slack: float | None = None,
     ) -> tuple[Array, Array, list[Array]]:
-        """To where a posterior has its mean, or a part of the way.
+        """To where the hypothesis that frees these columns has its mean, or a part of the way.
 
         Args:
-            best: see posterior.
+            columns: see posterior.
+            size: of the discrepancy.
             damping: 0 for all the way; what a step costs beside, in prior precisions: enough of it lowers
                 the cost wherever the cost can be lowered.
             longest: change of the base values at most (n_base,).
             held: windows whose own unknowns stay as they are (n_windows,).
+            slack: see posterior.
 
         Returns:
             Base values, the effect's numbers, and changes of every window's local columns.
@@ -188,10 +194,11 @@ class Evidence:
         each = np.full(len(self.systems), damping)
         if held is not None:
             each[held] = _HELD
-        joined, b = Joined(self.systems, best.discrepancy, each), self.n_base
-        index = np.array([*range(b), *best.columns], int)
-        scale = np.concatenate((self.deviations, np.full(len(best.columns), best.slack)))
-        now = np.concatenate((self.values, self.numbers[[c - b for c in best.columns]]))
+        joined, b = Joined(self.systems, size, each), self.n_base
+        index = np.array([*range(b), *columns], int)
+        slack = self.slack if slack is None else slack
+        scale = np.concatenate((self.deviations, np.full(len(columns), slack)))
+        now = np.concatenate((self.values, self.numbers[[c - b for c in columns]]))
         H = joined.reduced.matrix[np.ix_(index, index)] + np.diag((1 + damping) / scale**2)
         step = np.linalg.solve(0.5 * (H + H.T), joined.reduced.right[index] - now / scale**2)
         step *= min(1.0, float((longest / np.maximum(np.abs(step[:b]), 1e-9)).min()))
@@ -212,7 +219,7 @@ class Evidence:
         factor = positive_factor(H)
         right = scale * reduced.right[index] - mean
         white = cho_solve(factor, right)
-        value = reduced.constant + 0.5 * right @ white - 0.5 * mean @ mean
+        value = reduced.constant - reduced.determinant + 0.5 * right @ white - 0.5 * mean @ mean
         if charge:
             value -= np.log(np.diag(factor[0])).sum()
         covariance = scale[:, None] * cho_solve(factor, np.diag(scale))

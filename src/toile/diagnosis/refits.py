@@ -17,8 +17,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from toile.diagnosis.base_fit import TRIED, base_of, less, local_scales, more
+from toile.diagnosis.base_fit import base_of, local_scales
 from toile.diagnosis.continuity import Discrepancy
+from toile.diagnosis.damping import TRIED, less, more
 from toile.diagnosis.evidence import Evidence, Posterior
 from toile.diagnosis.mechanics import Mechanics, effect_systems
 from toile.diagnosis.shooting import Base, WindowMotion
@@ -47,7 +48,6 @@ class Refit:
         base: stiffness and wind.
         windows: simulated.
         evidence: of hypotheses around there.
-        log_evidence: means something beside that of another hypothesis on the same clip.
         gained: log evidence beyond that of the base model after as many passes.
         image_cost: negative log-likelihood of the fitted frames, up to a constant.
         mean, covariance: of the effect's numbers in prior deviations (n,), (n, n).
@@ -57,7 +57,6 @@ class Refit:
     base: Base
     windows: list[WindowMotion]
     evidence: Evidence
-    log_evidence: float
     gained: float
     image_cost: float
     mean: Array
@@ -119,7 +118,8 @@ class Refitting:
         usual: discrepancy of a right model; the hypothesis has to do with it.
 
     Attributes:
-        log_evidences: after every pass, see Refit; the first one is from before any.
+        log_evidences: after every pass, the first one from before any; one means something beside that of
+            another hypothesis on the same clip.
         is_done: whether the last pass has changed little.
     """
 
@@ -186,7 +186,6 @@ class Refitting:
             base,
             self._windows,
             self._evidence,
-            self.log_evidences[-1],
             # What more passes bring any model is no merit of the one that has had them.
             self.log_evidences[-1] - base_model.log_evidences[: len(self.log_evidences)][-1],
             self._image_cost,
@@ -198,6 +197,18 @@ class Refitting:
         self._best = self._evidence.scaled(self._free, self._usual)
         self._image_cost = sum(map(self._mechanics.shooting.image_cost, self._windows))
         self.log_evidences.append(self._best.log_evidence - self._image_cost)
+
+
+def within_bounds(effect: Effect, numbers: Array) -> Array:
+    """An effect's numbers (n,) in prior deviations, none beyond its bounds."""
+    low = np.array([p.low / p.scale for p in effect.parameters])
+    high = np.array([p.high / p.scale for p in effect.parameters])
+    return numbers.clip(low, high)
+
+
+def acting_with(effect: Effect, numbers: Array) -> Effect:
+    """The effect with numbers (n,) in prior deviations."""
+    return effect.with_values(torch.from_numpy(numbers) * effect.scales)
 
 
 def refits(
@@ -278,15 +289,15 @@ def _step(
         risen: Array | None = None
         tried = damping
         for _ in range(TRIED):
-            values, own, changes = evidence.towards(best, tried, _LONGEST, held)
+            values, own, changes = evidence.towards(
+                best.columns, best.discrepancy, tried, _LONGEST, held, best.slack
+            )
             trial = numbers.copy()
             trial[at] = own
             acting: tuple[Effect, ...] = ()
             if effect is not None:
-                low = np.array([p.low / p.scale for p in effect.parameters])
-                high = np.array([p.high / p.scale for p in effect.parameters])
-                trial = trial.clip(low, high)
-                acting = (effect.with_values(torch.from_numpy(trial) * effect.scales),)
+                trial = within_bounds(effect, trial)
+                acting = (acting_with(effect, trial),)
             try:
                 moved = simulated(changes, values, acting)
             except FloatingPointError:

@@ -126,7 +126,7 @@ def test_all_the_way_to_the_mean_nothing_costs_less() -> None:
     systems, _, _ = problem(3, 0.5)
     evidence = Evidence(systems, np.zeros(2), np.ones(2))
     best = evidence.posterior((2,))
-    values, numbers, changes = evidence.towards(best, 0.0, np.full(2, np.inf))
+    values, numbers, changes = evidence.towards(best.columns, best.discrepancy, 0.0, np.full(2, np.inf))
 
     def cost(base: np.ndarray, own: np.ndarray, local: list[np.ndarray]) -> float:
         total = 0.5 * float(base @ base) + 0.5 * float(own @ own) / best.slack**2
@@ -145,7 +145,10 @@ def test_all_the_way_to_the_mean_nothing_costs_less() -> None:
         assert cost(base, numbers + 1e-2 * rng.normal(size=1), moved) > least
     # With damping it goes part of the way: less the more of it, and downhill all the same.
     before = cost(np.zeros(2), np.zeros(1), [np.zeros_like(c) for c in changes])
-    costs = [cost(*evidence.towards(best, damping, np.full(2, np.inf))) for damping in (0.0, 1.0, 10.0, 1e4)]
+    costs = [
+        cost(*evidence.towards((2,), best.discrepancy, damping, np.full(2, np.inf)))
+        for damping in (0.0, 1.0, 10.0, 1e4)
+    ]
     assert costs == sorted(costs)
     assert costs[0] == pytest.approx(least)
     assert costs[-1] < before
@@ -196,10 +199,10 @@ def test_the_way_to_the_mean_is_gone_as_far_as_is_allowed() -> None:
     systems, _, _ = problem(5, 0.5)
     evidence = Evidence(systems, np.zeros(2), np.ones(2))
     best = evidence.posterior((2, 3))
-    values, numbers, _ = evidence.towards(best, 0.0, np.full(2, np.inf))
+    values, numbers, _ = evidence.towards(best.columns, best.discrepancy, 0.0, np.full(2, np.inf))
     np.testing.assert_allclose(numbers, best.mean)
     limit = 0.25 * np.abs(values).max()
-    shorter, part, _ = evidence.towards(best, 0.0, np.array([limit, limit]))
+    shorter, part, _ = evidence.towards(best.columns, best.discrepancy, 0.0, np.array([limit, limit]))
     assert np.abs(shorter).max() == pytest.approx(limit)
     np.testing.assert_allclose(part, 0.25 * best.mean)
 
@@ -208,9 +211,9 @@ def test_a_window_that_is_held_stays_and_the_others_move() -> None:
     systems, _, _ = problem(3, 0.5)
     evidence = Evidence(systems, np.zeros(2), np.ones(2))
     best = evidence.posterior((2,))
-    every = evidence.towards(best, 0.0, np.full(2, np.inf))[2]
+    every = evidence.towards(best.columns, best.discrepancy, 0.0, np.full(2, np.inf))[2]
     held = np.arange(len(systems)) == 1
-    changes = evidence.towards(best, 0.0, np.full(2, np.inf), held)[2]
+    changes = evidence.towards((2,), best.discrepancy, 0.0, np.full(2, np.inf), held)[2]
     assert np.abs(changes[1]).max() < 1e-3 * np.abs(every[1]).max()
     assert np.abs(changes[0]).max() > 0.1 * np.abs(every[0]).max()
 
