@@ -1,0 +1,66 @@
+"""What counts as usual evidence, from scenes whose effect is known."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from toile.diagnosis.decision import NONE, UNKNOWN, probabilities
+
+BENCHMARKS = Path(__file__).parents[3] / "benchmarks"
+
+
+@pytest.fixture(scope="module")
+def calibrate_diagnosis() -> ModuleType:
+    """benchmarks/calibrate_diagnosis.py."""
+    sys.path.insert(0, str(BENCHMARKS))
+    try:
+        return importlib.import_module("calibrate_diagnosis")
+    finally:
+        sys.path.remove(str(BENCHMARKS))
+
+
+def _nulls(module: ModuleType, drags: list[float]) -> list[object]:
+    return [
+        module.Case(f"n{k}", NONE, {"air_drag": drag, "frame_rate": 0.0, UNKNOWN: 0.0})
+        for k, drag in enumerate(drags)
+    ]
+
+
+def test_one_misleading_null_is_no_rule(calibrate_diagnosis: ModuleType) -> None:
+    module = calibrate_diagnosis
+    one = module.calibrate(_nulls(module, [40.0, 0.0, 0.0, 0.0]), "test")
+    # Four scenes of zero are granted beside the four there are.
+    assert one.usual["air_drag"] == pytest.approx(40 / 8)
+    rule = module.calibrate(_nulls(module, [40.0] * 12), "test")
+    assert rule.usual["air_drag"] == pytest.approx(40 * 12 / 16)
+    # A drag of the same evidence is hardly to be told from what is usual there, and easily here.
+    evidence = {"air_drag": 75.0, "frame_rate": 0.0, UNKNOWN: 0.0}
+    assert probabilities(evidence, one)["air_drag"] > probabilities(evidence, rule)["air_drag"]
+
+
+def test_few_quiet_scenes_are_not_taken_for_certainty(calibrate_diagnosis: ModuleType) -> None:
+    module = calibrate_diagnosis
+    found = module.calibrate(_nulls(module, [0.0, 0.0, 0.0]), "test")
+    # What moves the cloth deviates by two at least, however alike the scenes are.
+    assert found.spread["air_drag"] == 2.0
+    assert found.usual["air_drag"] == 0.0
+    # Two scenes say nothing of what is usual for an effect.
+    assert "air_drag" not in module.calibrate(_nulls(module, [0.0, 0.0]), "test").usual
+
+
+def test_a_scene_says_nothing_of_the_usual_where_its_effect_acts(calibrate_diagnosis: ModuleType) -> None:
+    module = calibrate_diagnosis
+    moving = module.Case("m", "internal_damping", {"air_drag": 90.0, "shading": 0.0, UNKNOWN: 0.0})
+    lit = module.Case("s", "shading", {"air_drag": 90.0, "shading": 50.0, UNKNOWN: 0.0})
+    assert not module.is_quiet(moving, "air_drag")
+    assert module.is_quiet(moving, "shading")
+    assert module.is_quiet(lit, "air_drag")
+    outside = module.Case("v", UNKNOWN, {"air_drag": 90.0, UNKNOWN: 50.0})
+    assert not module.is_quiet(outside, "air_drag")
+    found = module.calibrate([*_nulls(module, [0.0, 0.0, 0.0]), moving, outside], "test")
+    assert found.usual["air_drag"] == 0.0
