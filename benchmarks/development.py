@@ -175,7 +175,7 @@ def main() -> None:
         print(scene.name, flush=True)
         try:
             make(scene)
-            diagnose_scene(FOLDER / "scenes" / scene.name, run, arguments.settings)
+            diagnose_scene(FOLDER / "scenes" / scene.name, run, ["workers=2", *arguments.settings])
         except Exception:  # the other scenes are worth having
             traceback.print_exc()
     done = [s for s in scenes if is_done(runs / s.name)]

@@ -82,7 +82,7 @@ def main() -> None:
     for scene in [] if arguments.table else found:
         if not (OUTPUT / scene.name / DIAGNOSIS_FILE).is_file():
             print(scene.name, flush=True)
-            diagnose_scene(scene, OUTPUT / scene.name, None)
+            diagnose_scene(scene, OUTPUT / scene.name, ["workers=2"])
     table = pd.DataFrame([row(s) for s in found]).fillna("")
     write_text(RESULTS / "independent.csv", table.to_csv(index=False))
     for scene in found:

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from toile.cli.diagnose import diagnose_scene
-from toile.diagnosis.diagnose import TRACKED_FILE
+from toile.diagnosis.diagnose import SCREENING_FILE, TRACKED_FILE
 from toile.evaluation.diagnosis_record import DIAGNOSIS_FILE, GapReport
 
 SCENE = (
@@ -54,15 +54,19 @@ def test_diagnose(toile) -> None:
 
 
 def test_the_same_again_and_without_tracking_again(toile) -> None:
-    """What was tracked is used again, and the answer is the same to the last digit."""
+    """What was tracked is used again, and however many share the work, all digits are the same."""
     assert toile("generate", *SCENE).status == 0
     scene = next(Path("data").rglob("scene.json")).parent
-    diagnose_scene(scene, Path("first"), SMALL)
-    diagnose_scene(scene, Path("second"), SMALL)
+    several = ("diagnosis.refitted=[3,2]", *SMALL)
+    diagnose_scene(scene, Path("first"), several)
+    diagnose_scene(scene, Path("second"), (*several, "workers=2"))
     first = (Path("first") / DIAGNOSIS_FILE).read_bytes()
     assert (Path("second") / DIAGNOSIS_FILE).read_bytes() == first
+    with np.load(Path("first") / SCREENING_FILE) as alone, np.load(Path("second") / SCREENING_FILE) as shared:
+        for name in alone:
+            np.testing.assert_array_equal(alone[name], shared[name])
     (Path("first") / DIAGNOSIS_FILE).unlink()
-    diagnose_scene(scene, Path("first"), SMALL)
+    diagnose_scene(scene, Path("first"), several)
     assert (Path("first") / DIAGNOSIS_FILE).read_bytes() == first
 
 

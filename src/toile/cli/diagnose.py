@@ -15,6 +15,7 @@ from toile.cli.configuration import CONF, instantiate, output_folder, register_r
 from toile.cli.fit import build_reconstruction
 from toile.cli.terminal import print_path
 from toile.diagnosis.diagnose import diagnose
+from toile.diagnosis.workers import Workers
 from toile.errors import InputError
 from toile.evaluation.diagnosis_record import DIAGNOSIS_FILE, GapReport
 from toile.fitting.gauss_newton.recipe import TrackingRecipe
@@ -51,7 +52,9 @@ def run(cfg: DictConfig) -> None:
 
 
 def diagnose_scene(scene_folder: Path, output_folder: Path, settings: Any) -> None:
-    """Diagnose one scene without a command line, as a blind run does.
+    """Diagnose one scene without a command line, as a blind run does: in this process alone.
+
+    Processes that it started would know nothing of what this one is forbidden to read.
 
     Args:
         scene_folder: native layout.
@@ -59,7 +62,8 @@ def diagnose_scene(scene_folder: Path, output_folder: Path, settings: Any) -> No
         settings: None, or overrides of the configuration as ``key=value``.
     """
     register_resolvers()
-    overrides = ["scene=native", f"scene.name='{scene_folder.resolve()}'", *map(str, settings or [])]
+    scene = ("scene=native", f"scene.name='{scene_folder.resolve()}'", "workers=1")
+    overrides = [*scene, *map(str, settings or [])]
     if GlobalHydra.instance().is_initialized():
         cfg = compose("diagnose", overrides)
     else:
@@ -81,8 +85,10 @@ def _diagnose(cfg: DictConfig, folder: Path, progress: Any) -> tuple[Scene, GapR
     scene: Scene = instantiate(cfg.scene)
     recipe = instantiate(cfg.optimization)
     effects = list(instantiate(cfg.candidates).values())
-    report = diagnose(
-        build_reconstruction(cfg, scene), recipe, effects, instantiate(cfg.diagnosis), folder, progress
-    )
+    settings = instantiate(cfg.diagnosis)
+    with Workers(int(cfg.workers)) as workers:
+        report = diagnose(
+            build_reconstruction(cfg, scene), recipe, effects, settings, folder, progress, workers
+        )
     report.write(folder / DIAGNOSIS_FILE)
     return scene, report

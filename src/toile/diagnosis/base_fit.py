@@ -17,6 +17,8 @@ from toile.diagnosis.evidence import Evidence
 from toile.diagnosis.positive import positive_factor
 from toile.diagnosis.sensitivities import StepForces
 from toile.diagnosis.shooting import Base, Shooting, WindowMotion
+from toile.diagnosis.workers import ALONE, Workers
+from toile.effects.base import Effect, Surroundings
 from toile.simulators.linearizable import LinearizableSimulator
 
 Array = NDArray[np.float64]
@@ -106,6 +108,7 @@ def fit_base(
     report: Callable[[str, float], None],
     coarser: BaseFit | None = None,
     passes: int | None = None,
+    workers: Workers = ALONE,
 ) -> BaseFit:
     """Window by window for a first motion, then all of them with stiffness and wind.
 
@@ -118,6 +121,7 @@ def fit_base(
         coarser: fit on a coarser grid to start from.
         passes: over the whole clip at most, None for those of the settings; a fit with a number of its own is
             a first one, and goes through the clip once.
+        workers: share the windows of a pass; those of a sweep come one after the other.
     """
     deviation = base_deviations(shooting)
     values = np.zeros(N_BASE) if coarser is None else coarser.values
@@ -125,7 +129,8 @@ def fit_base(
     for _ in range(shooting.settings.sweeps if coarser is None and passes is None else 1):
         windows, values = _sweep(shooting, start_positions, stiffness, values, windows, n_frames, report)
     # What was learnt on the way holds for the windows before as well.
-    windows = [shooting.simulate(w, w.white, base_of(stiffness, values)) for w in windows]
+    base = base_of(stiffness, values)
+    windows = list(workers.map(lambda w: shooting.simulate(w, w.white, base), windows))
     cost = shooting.clip_cost(windows)
     history = [cost]
     damping = 0.0
@@ -133,18 +138,15 @@ def fit_base(
     for _ in range(shooting.settings.passes if passes is None else passes):
         base = base_of(stiffness, values)
         columns = base_columns(shooting, base)
-        systems = window_systems(shooting, windows, base, [columns] * len(windows), nothing_seen, N_BASE)
+        systems = window_systems(
+            shooting, windows, base, [columns] * len(windows), nothing_seen, N_BASE, workers=workers
+        )
         evidence = Evidence(systems, values, deviation)
         before = cost + 0.5 * float(((values / deviation) ** 2).sum())
         for _ in range(TRIED):
             # All together: shared unknowns that hold back while local ones go all the way may get stuck.
             trial, _, changes = evidence.towards((), fitted_discrepancy(shooting), damping, _LONGEST)
-            moved = [
-                shooting.simulate(
-                    w, w.white + d / local_scales(shooting, w.last - w.first), base_of(stiffness, trial)
-                )
-                for w, d in zip(windows, changes, strict=True)
-            ]
+            moved = changed_windows(shooting, windows, changes, base_of(stiffness, trial), workers=workers)
             trial_cost = shooting.clip_cost(moved)
             after = trial_cost + 0.5 * float(((trial / deviation) ** 2).sum())
             if after < before and all(w.converged for w in moved):
@@ -176,6 +178,7 @@ def window_systems(
     seen: Callable[[int, Array], Array],
     n_shared: int,
     simulator: LinearizableSimulator | None = None,
+    workers: Workers = ALONE,
 ) -> list[WindowSystem]:
     """Gauss-Newton systems of all windows; each start hangs on the end before it.
 
@@ -187,14 +190,19 @@ def window_systems(
         seen: apparent displacements, see there.
         n_shared: columns of both.
         simulator: with which they were, if not with that of the base model.
+        workers: share the windows.
     """
     systems: list[WindowSystem] = []
     end: Array | None = None
-    for k, window in enumerate(windows):
-        link = None
+
+    def normal(k: int) -> tuple[Array, Array, Array]:
+        return shooting.normal(windows[k], base, shared[k], seen, n_shared, simulator)
+
+    for k, (G, g, next_end) in enumerate(workers.map(normal, range(len(windows)))):
+        window, link = windows[k], None
         if end is not None:
             link = Link(shooting.jump(windows[k - 1], window), shooting.jump_ratio(), end)
-        G, g, end = shooting.normal(window, base, shared[k], seen, n_shared, simulator)
+        end = next_end
         n = window.last - window.first
         external = shooting.external(n)
         pushed = np.arange(len(external)) >= shooting.layout(n)[1]
@@ -202,6 +210,35 @@ def window_systems(
             WindowSystem(G, g, window.white, pushed & ~external, external, fitted_discrepancy(shooting), link)
         )
     return systems
+
+
+def changed_windows(
+    shooting: Shooting,
+    windows: Sequence[WindowMotion],
+    changes: Sequence[Array],
+    base: Base,
+    effects: Sequence[Effect] = (),
+    around: Surroundings | None = None,
+    workers: Workers = ALONE,
+) -> list[WindowMotion]:
+    """The windows with changed local unknowns, simulated.
+
+    Args:
+        shooting: the problem.
+        windows: as they are.
+        changes: of the local columns of each, see Shooting.normal.
+        base: stiffness and wind.
+        effects: in the model.
+        around: the whole clip; needed with effects.
+        workers: share the windows.
+    """
+
+    def changed(item: tuple[WindowMotion, Array]) -> WindowMotion:
+        window, change = item
+        white = window.white + change / local_scales(shooting, window.last - window.first)
+        return shooting.simulate(window, white, base, effects, around)
+
+    return list(workers.map(changed, list(zip(windows, changes, strict=True))))
 
 
 def _at_rest(shooting: Shooting, positions: Array) -> State:

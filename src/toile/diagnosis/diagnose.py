@@ -38,6 +38,7 @@ from toile.diagnosis.shrinkage import held_out_shrinks, prediction_gains
 from toile.diagnosis.stage_times import TIMES_FILE, StageTimes
 from toile.diagnosis.tracked import CoarseTracking, point_settings, track, tracked_motion
 from toile.diagnosis.verdict import verdict_of
+from toile.diagnosis.workers import ALONE, Workers
 from toile.effects.anchor_slip import AnchorSlip
 from toile.effects.base import BrightnessEffect, CameraEffect, Effect, ExposureEffect, MaskEffect
 from toile.effects.catalogue import STAGES
@@ -106,6 +107,7 @@ def diagnose(
     settings: DiagnosisSettings,
     folder: Path,
     progress: Progress,
+    workers: Workers = ALONE,
 ) -> GapReport:
     """Diagnose a clip; arrays go into the folder, and what has been tracked there before is used again.
 
@@ -116,6 +118,7 @@ def diagnose(
         settings: see DiagnosisSettings.
         folder: of the run.
         progress: called with what is being done and the share that is done.
+        workers: share what can be done side by side.
 
     Returns:
         The report; the caller writes it.
@@ -158,11 +161,12 @@ def diagnose(
             settings.longest_substep,
             used,
             count,
+            workers,
         )
     progress("base model, settled", 0.85)
     with times.stage("refits"):
         usual = settings.usual_discrepancy
-        best = settled(mechanics, scene.camera, usual, settings.settling_passes)
+        best = settled(mechanics, scene.camera, usual, settings.settling_passes, workers)
         screened = mechanical_findings(best, usual)
         base, models = refits(
             best,
@@ -171,6 +175,7 @@ def diagnose(
             usual,
             settings.refitted,
             lambda what, share: progress(what, 0.86 + 0.06 * share),
+            workers,
         )
     for name, screening in screened.findings.items():
         if name in models:
@@ -183,7 +188,7 @@ def diagnose(
     calibration = Calibration.load()
     progress("what the effects foretell", 0.92)
     with times.stage("foretelling"):
-        gains = prediction_gains(mechanics, base, models)
+        gains = prediction_gains(mechanics, base, models, workers)
         width = mechanics.around.cloth_size[0]
         sizes = {name: effect_size(mechanics, model) / width for name, model in models.items()}
     evidence = {name: found.log_evidence for name, found in findings.items()}

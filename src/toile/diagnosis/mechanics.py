@@ -30,6 +30,7 @@ from toile.diagnosis.sensitivities import StepForces
 from toile.diagnosis.shooting import Shooting, ShootingSettings, WindowMotion, changed_simulation
 from toile.diagnosis.template_tension import template_tension
 from toile.diagnosis.tracked import Tracked
+from toile.diagnosis.workers import ALONE, Workers
 from toile.effects.base import CameraEffect, Effect, Surroundings
 from toile.fitting.gauss_newton.unknowns import horizontal_basis
 from toile.geometry.camera import Camera
@@ -76,6 +77,7 @@ def analyse_mechanics(
     longest_substep: float,
     n_frames: int,
     report: Callable[[str, float], None],
+    workers: Workers = ALONE,
 ) -> Mechanics:
     """Fit the base model to the first n_frames frames.
 
@@ -89,6 +91,7 @@ def analyse_mechanics(
         longest_substep: [s].
         n_frames: frames used.
         report: called with a message and the cost.
+        workers: share the windows.
     """
     substeps = substeps_per_frame(scene.fps, longest_substep)
     gravity = scene.gravity.numpy().astype(np.float64)
@@ -113,7 +116,7 @@ def analyse_mechanics(
         )
         start = np.array(stiffness) * (1.0, grid.units.length**2, 1.0)
         passes = None if last else 0
-        fit = fit_base(shooting, tracked.positions[0], start, n_frames, report, fit, passes)
+        fit = fit_base(shooting, tracked.positions[0], start, n_frames, report, fit, passes, workers)
     assert fit is not None
     around = Surroundings(grid.cloth, grid.cloth_size, torch.from_numpy(gravity), scene.fps, scene.n_frames)
     # At zero, whatever numbers a candidate comes with.
@@ -128,7 +131,7 @@ def analyse_mechanics(
     for effect in acting:
         columns[effect.NAME] = (at, at + len(effect.scales))
         at += len(effect.scales)
-    systems = effect_systems(shooting, fit, (), around, None, 0)
+    systems = effect_systems(shooting, fit, (), around, None, 0, workers)
     evidence = Evidence(systems, fit.values, base_deviations(shooting))
     return Mechanics(shooting, fit, evidence, columns, {e.NAME: e for e in acting}, around)
 
@@ -140,6 +143,7 @@ def effect_systems(
     around: Surroundings,
     camera: Camera | None,
     n_effects: int,
+    workers: Workers = ALONE,
 ) -> list[WindowSystem]:
     """Gauss-Newton systems of all windows with the columns of all effects, at their numbers.
 
@@ -150,6 +154,7 @@ def effect_systems(
         around: the whole clip.
         camera: nominal; needed with effects of the camera.
         n_effects: numbers of all effects.
+        workers: share the windows.
     """
     base = fit.base
     simulator = shooting.simulator
@@ -181,7 +186,7 @@ def effect_systems(
         return np.concatenate(found) if found else np.zeros((0, *positions.shape))
 
     columns = [shared(window) for window in fit.windows]
-    return window_systems(shooting, fit.windows, base, columns, seen, N_BASE + n_effects, simulator)
+    return window_systems(shooting, fit.windows, base, columns, seen, N_BASE + n_effects, simulator, workers)
 
 
 # Out-of-balance force over a vertex' weight: 0.01 m/s², far below any discrepancy that is looked at.

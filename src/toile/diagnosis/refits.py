@@ -17,12 +17,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from toile.diagnosis.base_fit import base_of, local_scales
-from toile.diagnosis.continuity import Discrepancy
+from toile.diagnosis.base_fit import base_of, changed_windows
+from toile.diagnosis.continuity import Discrepancy, WindowSystem
 from toile.diagnosis.damping import TRIED, less, more
 from toile.diagnosis.evidence import Evidence, Posterior
 from toile.diagnosis.mechanics import Mechanics, effect_systems
 from toile.diagnosis.shooting import Base, WindowMotion
+from toile.diagnosis.workers import ALONE, Workers
 from toile.effects.base import Effect
 from toile.geometry.camera import Camera
 
@@ -75,7 +76,9 @@ class _Moved:
     damping: float
 
 
-def settled(mechanics: Mechanics, camera: Camera, usual: Discrepancy, passes: int) -> Mechanics:
+def settled(
+    mechanics: Mechanics, camera: Camera, usual: Discrepancy, passes: int, workers: Workers = ALONE
+) -> Mechanics:
     """The base model fitted with forces of the size that it needs, and effects to first order around there.
 
     The base fit leaves much to its forces so as to find the motion from afar. Where far smaller ones do, all
@@ -86,6 +89,7 @@ def settled(mechanics: Mechanics, camera: Camera, usual: Discrepancy, passes: in
         camera: nominal.
         usual: discrepancy of a right model.
         passes: at most.
+        workers: share the windows.
     """
     shooting, fit, evidence = mechanics.shooting, mechanics.fit, mechanics.evidence
     effects = list(mechanics.effects.values())
@@ -93,7 +97,7 @@ def settled(mechanics: Mechanics, camera: Camera, usual: Discrepancy, passes: in
     damping = 0.0
     for index in range(passes):
         best = evidence.posterior((), usual)
-        moved = _step(mechanics, evidence, best, None, fit.windows, np.zeros(0), damping)
+        moved = _step(mechanics, evidence, best, None, fit.windows, np.zeros(0), damping, workers)
         if moved is None:
             break
         fit = replace(fit, windows=moved.windows, values=moved.values)
@@ -101,11 +105,41 @@ def settled(mechanics: Mechanics, camera: Camera, usual: Discrepancy, passes: in
         if (moved.damping == 0 and moved.gained < _LITTLE) or index + 1 == passes:
             break
         damping = less(moved.damping)
-        systems = effect_systems(shooting, fit, (), mechanics.around, None, 0)
+        systems = effect_systems(shooting, fit, (), mechanics.around, None, 0, workers)
         evidence = Evidence(systems, fit.values, evidence.deviations, evidence.slack)
-    systems = effect_systems(shooting, fit, effects, mechanics.around, camera, n)
+    systems = effect_systems(shooting, fit, effects, mechanics.around, camera, n, workers)
     evidence = Evidence(systems, fit.values, evidence.deviations, evidence.slack)
     return replace(mechanics, fit=fit, evidence=evidence)
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Where a hypothesis is on the way to its best fit.
+
+    Attributes:
+        windows: simulated.
+        values: of the base (5,).
+        numbers: of the effect in prior deviations (n,).
+        effects: in the simulator.
+        systems: around there.
+        best: posterior around there.
+        image_cost: of the fitted frames.
+        log_evidences: after every pass, the first one from before any; one means something beside that of
+            another hypothesis on the same clip.
+        damping: of the next step.
+        is_done: whether the last pass has changed little.
+    """
+
+    windows: list[WindowMotion]
+    values: Array
+    numbers: Array
+    effects: tuple[Effect, ...]
+    systems: list[WindowSystem]
+    best: Posterior
+    image_cost: float
+    log_evidences: tuple[float, ...]
+    damping: float = 0.0
+    is_done: bool = False
 
 
 class Refitting:
@@ -116,11 +150,6 @@ class Refitting:
         effect: of the catalogue; None for the base model itself.
         columns: numbers of the effect that are free, the others stay zero.
         usual: discrepancy of a right model; the hypothesis has to do with it.
-
-    Attributes:
-        log_evidences: after every pass, the first one from before any; one means something beside that of
-            another hypothesis on the same clip.
-        is_done: whether the last pass has changed little.
     """
 
     def __init__(
@@ -133,70 +162,82 @@ class Refitting:
         systems = [s.with_shared([*range(n_base), *range(a, a + n)]) for s in first.systems]
         self._mechanics, self._effect, self._usual = mechanics, effect, usual
         self._free = [n_base + c for c in columns]
-        self._windows, self._values, self._numbers = mechanics.fit.windows, mechanics.fit.values, np.zeros(n)
-        self._acting: tuple[Effect, ...] = ()
-        self._evidence = Evidence(systems, self._values, first.deviations, first.slack, like=first)
-        self.log_evidences: list[float] = []
-        self._judge()
-        self._damping = 0.0
-        self.is_done = False
+        self._place = self._judged(mechanics.fit.windows, mechanics.fit.values, np.zeros(n), (), systems, ())
 
-    def advance(self) -> None:
-        """One pass; none where the one before has changed little."""
-        if self.is_done:
-            return
-        mechanics, fit = self._mechanics, self._mechanics.fit
+    @property
+    def log_evidences(self) -> tuple[float, ...]:
+        """See _Place."""
+        return self._place.log_evidences
+
+    def advanced(self) -> _Place:
+        """Where it is after one more pass; where it was if the one before has changed little."""
+        place, mechanics, fit = self._place, self._mechanics, self._mechanics.fit
+        if place.is_done:
+            return place
         moved = _step(
             mechanics,
-            self._evidence,
-            self._best,
+            self._evidence(place.systems, place.values, place.numbers),
+            place.best,
             self._effect,
-            self._windows,
-            self._numbers,
-            self._damping,
+            place.windows,
+            place.numbers,
+            place.damping,
         )
         if moved is None:
-            self.is_done = True
-            return
-        self._windows, self._values = moved.windows, moved.values
-        self._numbers, self._acting = moved.numbers, moved.effects
+            return replace(place, is_done=True)
         around = replace(fit, windows=moved.windows, values=moved.values)
-        n = len(self._numbers)
-        systems = effect_systems(mechanics.shooting, around, self._acting, mechanics.around, None, n)
-        first = mechanics.evidence
-        self._evidence = Evidence(
-            systems, self._values, first.deviations, first.slack, self._numbers, like=first
+        n = len(moved.numbers)
+        systems = effect_systems(mechanics.shooting, around, moved.effects, mechanics.around, None, n)
+        found = self._judged(
+            moved.windows, moved.values, moved.numbers, moved.effects, systems, place.log_evidences
         )
-        self._judge()
         # The first pass may lead through places that are worse.
-        little = abs(self.log_evidences[-1] - self.log_evidences[-2]) < _SETTLED
-        self.is_done = len(self.log_evidences) > 2 and moved.damping == 0 and little
-        self._damping = less(moved.damping)
+        little = abs(found.log_evidences[-1] - found.log_evidences[-2]) < _SETTLED
+        done = len(found.log_evidences) > 2 and moved.damping == 0 and little
+        return replace(found, damping=less(moved.damping), is_done=done)
+
+    def move(self, place: _Place) -> None:
+        """Go to where ``advanced`` leads."""
+        self._place = place
 
     def result(self, base_model: Refitting) -> Refit:
         """Where it is, beside the base model."""
-        n, n_base = len(self._numbers), self._evidence.n_base
+        place = self._place
+        n, n_base = len(place.numbers), self._mechanics.evidence.n_base
         mean, covariance = np.zeros(n), np.zeros((n, n))
-        at = [c - n_base for c in self._best.columns]
-        mean[at] = self._best.mean
-        covariance[np.ix_(at, at)] = self._best.covariance
-        base = base_of(self._mechanics.fit.start_stiffness, self._values)
+        at = [c - n_base for c in place.best.columns]
+        mean[at] = place.best.mean
+        covariance[np.ix_(at, at)] = place.best.covariance
+        base = base_of(self._mechanics.fit.start_stiffness, place.values)
         return Refit(
-            self._acting,
+            place.effects,
             base,
-            self._windows,
-            self._evidence,
+            place.windows,
+            self._evidence(place.systems, place.values, place.numbers),
             # What more passes bring any model is no merit of the one that has had them.
-            self.log_evidences[-1] - base_model.log_evidences[: len(self.log_evidences)][-1],
-            self._image_cost,
+            place.log_evidences[-1] - base_model.log_evidences[: len(place.log_evidences)][-1],
+            place.image_cost,
             mean,
             covariance,
         )
 
-    def _judge(self) -> None:
-        self._best = self._evidence.scaled(self._free, self._usual)
-        self._image_cost = sum(map(self._mechanics.shooting.image_cost, self._windows))
-        self.log_evidences.append(self._best.log_evidence - self._image_cost)
+    def _evidence(self, systems: list[WindowSystem], values: Array, numbers: Array) -> Evidence:
+        first = self._mechanics.evidence
+        return Evidence(systems, values, first.deviations, first.slack, numbers, like=first)
+
+    def _judged(
+        self,
+        windows: list[WindowMotion],
+        values: Array,
+        numbers: Array,
+        effects: tuple[Effect, ...],
+        systems: list[WindowSystem],
+        before: tuple[float, ...],
+    ) -> _Place:
+        best = self._evidence(systems, values, numbers).scaled(self._free, self._usual)
+        image_cost = sum(map(self._mechanics.shooting.image_cost, windows))
+        after = (*before, best.log_evidence - image_cost)
+        return _Place(windows, values, numbers, effects, systems, best, image_cost, after)
 
 
 def within_bounds(effect: Effect, numbers: Array) -> Array:
@@ -218,6 +259,7 @@ def refits(
     usual: Discrepancy,
     tried: Sequence[int],
     report: Callable[[str, float], None],
+    workers: Workers = ALONE,
 ) -> tuple[Refit, dict[str, Refit]]:
     """The base model and the promising effects at their best fits, as a race: the last drop out early.
 
@@ -227,7 +269,8 @@ def refits(
         charges: taken from the log evidence of each.
         usual: discrepancy of a right model.
         tried: effects that have a first pass, a second one, and so on.
-        report: called with what is being done and the share that is done.
+        report: called with what has been done and the share that is done.
+        workers: share the hypotheses.
 
     Returns:
         The base model, which has had as many passes, and the effects that act where they have ended.
@@ -240,14 +283,13 @@ def refits(
     }
     running = list(models)
     for count in tried:
-        report("refit of the base model", done / total)
-        base.advance()
-        done += 1
         running = sorted(running, key=lambda name: charges[name] - models[name].log_evidences[-1])[:count]
-        for name in running:
-            report(f"refit with {name}", done / total)
-            models[name].advance()
+        going = {"the base model": base, **{name: models[name] for name in running}}
+        places = workers.map(Refitting.advanced, list(going.values()))
+        for (name, model), place in zip(going.items(), places, strict=True):
+            model.move(place)
             done += 1
+            report(f"refit of {name}", done / total)
     found = {name: model.result(base) for name, model in models.items()}
     return base.result(base), {name: model for name, model in found.items() if model.effects}
 
@@ -260,6 +302,7 @@ def _step(
     windows: list[WindowMotion],
     numbers: Array,
     damping: float,
+    workers: Workers = ALONE,
 ) -> _Moved | None:
     """One pass; None where no step lowers the cost."""
     shooting, start = mechanics.shooting, mechanics.fit.start_stiffness
@@ -269,18 +312,6 @@ def _step(
         prior = (base / evidence.deviations) ** 2
         images = shooting.clip_cost(moved, best.discrepancy)
         return images + 0.5 * float(prior.sum() + ((own[at] / best.slack) ** 2).sum())
-
-    def simulated(changes: list[Array], base: Array, acting: tuple[Effect, ...]) -> list[WindowMotion]:
-        return [
-            shooting.simulate(
-                window,
-                window.white + change / local_scales(shooting, window.last - window.first),
-                base_of(start, base),
-                acting,
-                mechanics.around,
-            )
-            for window, change in zip(windows, changes, strict=True)
-        ]
 
     before = cost(windows, evidence.values, numbers)
     seen = np.array([shooting.image_cost(window) for window in windows])
@@ -299,7 +330,9 @@ def _step(
                 trial = within_bounds(effect, trial)
                 acting = (acting_with(effect, trial),)
             try:
-                moved = simulated(changes, values, acting)
+                moved = changed_windows(
+                    shooting, windows, changes, base_of(start, values), acting, mechanics.around, workers
+                )
             except FloatingPointError:
                 # Effects can be strong enough to blow up a step.
                 tried = more(tried)

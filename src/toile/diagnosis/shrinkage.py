@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 from toile.diagnosis.held_out import Prediction, predict
 from toile.diagnosis.mechanics import Mechanics
 from toile.diagnosis.refits import Refit
+from toile.diagnosis.shooting import Base, WindowMotion
+from toile.diagnosis.workers import ALONE, Workers
+from toile.effects.base import Effect
 from toile.evaluation.diagnosis_record import Shrink
 
 Array = NDArray[np.float64]
@@ -155,7 +158,9 @@ def best_placebo(
     return best, kept
 
 
-def prediction_gains(mechanics: Mechanics, base: Refit, refits: Mapping[str, Refit]) -> dict[str, float]:
+def prediction_gains(
+    mechanics: Mechanics, base: Refit, refits: Mapping[str, Refit], workers: Workers = ALONE
+) -> dict[str, float]:
     """Log of how much better a window is foretold from the end of the one before, summed over fitted windows.
 
     Nothing is free within the window foretold; held-out frames are not looked at. An effect that only takes
@@ -165,19 +170,21 @@ def prediction_gains(mechanics: Mechanics, base: Refit, refits: Mapping[str, Ref
         mechanics: the problem.
         base: the base model at its best.
         refits: effects that move the cloth, by name.
+        workers: share the models.
     """
     shooting, around = mechanics.shooting, mechanics.around
 
-    def errors(model: Refit) -> Array:
-        found = np.full(len(model.windows) - 1, np.nan)
-        for index, (before, window) in enumerate(pairwise(model.windows)):
+    def errors(model: tuple[Base, tuple[Effect, ...], list[WindowMotion]]) -> Array:
+        values, effects, windows = model
+        found = np.full(len(windows) - 1, np.nan)
+        for index, (before, window) in enumerate(pairwise(windows)):
             if before.end is not None:
                 near = torch.from_numpy(window.positions)[None]
                 ahead = predict(
                     shooting,
                     around,
-                    model.base,
-                    model.effects,
+                    values,
+                    effects,
                     before.end,
                     window.first,
                     window.last,
@@ -186,10 +193,11 @@ def prediction_gains(mechanics: Mechanics, base: Refit, refits: Mapping[str, Ref
                 found[index] = np.nan if ahead is None else float(ahead.errors.mean())
         return found
 
-    without = errors(base)
+    models = [(model.base, model.effects, model.windows) for model in (base, *refits.values())]
+    without, *others = workers.map(errors, models)
     gains = {}
-    for name, model in refits.items():
-        ratio = np.log(without / errors(model))
+    for name, found in zip(refits, others, strict=True):
+        ratio = np.log(without / found)
         gains[name] = float(np.nansum(np.where(np.isnan(ratio), _FAILED, ratio)))
     return gains
 

@@ -1,6 +1,7 @@
 """The Warp kernels against the pure energies: value, gradient, band and coupling, weights and orders."""
 
 import math
+import pickle
 
 import numpy as np
 import pytest
@@ -158,3 +159,30 @@ def test_complete_fold_is_finite():
     assert np.isfinite(assembly.energies(x)).all()
     assert np.isfinite(gradients).all()
     assert np.isfinite(band).all()
+
+
+def test_a_copy_in_another_process_computes_the_same():
+    """Recorded launches stay behind; elements that were replaced go along."""
+    x, rng = positions("crumpled").numpy(), np.random.default_rng(3)
+    cloth = grid_cloth(GRID, (STEP * (GRID[0] - 1), STEP * (GRID[1] - 1)), 0.2, (0, 4))
+    s = cloth.stencils
+    sizes = [len(i) for i in (s.edges, s.corners, s.straights)]
+    first = Assembly(s, np.full(sizes[0], STEP), np.full(sizes[1], 1.5), np.array([0, 4]))
+    first.set_elements(
+        tuple(rng.uniform(0.5, 2.0, n) for n in sizes),
+        STEP * rng.uniform(0.9, 1.1, sizes[0]),
+        rng.uniform(1.2, 1.6, sizes[1]),
+        rng.uniform(-0.3, 0.3, sizes[2]),
+    )
+    copy = pickle.loads(pickle.dumps(first))
+    np.testing.assert_array_equal(copy.energies(x), first.energies(x))
+    np.testing.assert_array_equal(copy.gradients(x), first.gradients(x))
+    for a, b in zip(
+        copy.hessian(x, STIFFNESS, convex=False), first.hessian(x, STIFFNESS, convex=False), strict=True
+    ):
+        np.testing.assert_array_equal(a, b)
+    # And it is its own: elements that one replaces are not the other's.
+    copy.set_elements(
+        tuple(np.ones(n) for n in sizes), np.full(sizes[0], STEP), np.full(sizes[1], 1.5), np.zeros(sizes[2])
+    )
+    assert not np.array_equal(copy.energies(x), first.energies(x))

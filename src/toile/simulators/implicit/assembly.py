@@ -45,6 +45,7 @@ class Assembly:
         weights: tuple[Array, Array, Array] | None = None,
     ) -> None:
         start_warp()
+        self._stencils = stencils
         self.n = stencils.n_vertices
         index = [stencils.edges.numpy(), stencils.corners.numpy(), stencils.straights.numpy()]
         pairs = [index[0]]
@@ -108,6 +109,17 @@ class Assembly:
             device="cpu",
             record_cmd=True,
         )
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Recorded launches stay in their process; a copy elsewhere records its own."""
+        corners = len(self._stencils.corners)
+        weights = (self._edge_weights, self._angle_weights[:corners], self._angle_weights[corners:])
+        angles = self._rest_angles[:corners]
+        made_from = (self._stencils, self._rest_lengths, angles, self.held, weights)
+        return (Assembly, made_from, self._rest_angles)
+
+    def __setstate__(self, rest_angles: Array) -> None:
+        self._rest_angles[:] = rest_angles
 
     def set_elements(
         self,

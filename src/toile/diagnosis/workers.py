@@ -1,0 +1,66 @@
+"""Independent pieces of one diagnosis on several cores; what comes out does not depend on how many."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from types import TracebackType
+from typing import TypeVar
+
+from joblib import Parallel, delayed
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+# Larger arrays are put where all processes see them, once, and copied where one writes.
+_SHARED = "1M"
+
+
+class Workers:
+    """Processes that share the work of a diagnosis, each with one thread; to be used in a ``with``.
+
+    Args:
+        count: of processes; with one, everything happens in this one.
+    """
+
+    def __init__(self, count: int = 1) -> None:
+        self.count = count
+        # joblib's type depends on return_as.
+        self._parallel = (
+            None
+            if count == 1
+            else Parallel(
+                count, return_as="generator", max_nbytes=_SHARED, mmap_mode="c", inner_max_num_threads=1
+            )
+        )
+
+    def __enter__(self) -> Workers:
+        """The processes are kept until the end of the block."""
+        if self._parallel is not None:
+            self._parallel.__enter__()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Let them go."""
+        if self._parallel is not None:
+            self._parallel.__exit__(kind, error, trace)
+
+    def map(self, task: Callable[[T], R], items: Sequence[T]) -> Iterator[R]:
+        """Results in the order of the items, as they come.
+
+        Args:
+            task: of one item; it and what it returns go from process to process.
+            items: independent of one another.
+        """
+        if self._parallel is None or len(items) < 2:
+            return map(task, items)
+        found: Iterator[R] = self._parallel(delayed(task)(item) for item in items)
+        return found
+
+
+ALONE = Workers(1)
+"""One process."""
