@@ -123,7 +123,6 @@ def fit_base(
             a first one, and goes through the clip once.
         workers: share the windows of a pass; those of a sweep come one after the other.
     """
-    deviation = base_deviations(shooting)
     values = np.zeros(N_BASE) if coarser is None else coarser.values
     windows: list[WindowMotion] = [] if coarser is None else coarser.windows
     for _ in range(shooting.settings.sweeps if coarser is None and passes is None else 1):
@@ -131,6 +130,30 @@ def fit_base(
     # What was learnt on the way holds for the windows before as well.
     base = base_of(stiffness, values)
     windows = list(workers.map(lambda w: shooting.simulate(w, w.white, base), windows))
+    return improved(shooting, windows, stiffness, values, report, passes, workers)
+
+
+def improved(
+    shooting: Shooting,
+    windows: list[WindowMotion],
+    stiffness: Array,
+    values: Array,
+    report: Callable[[str, float], None],
+    passes: int | None = None,
+    workers: Workers = ALONE,
+) -> BaseFit:
+    """All windows at once with stiffness and wind, pass by pass.
+
+    Args:
+        shooting: the problem.
+        windows: simulated with the values.
+        stiffness: that the logarithms refer to (3,).
+        values: log ratios of Y, S, B and wind (5,).
+        report: called with a message and the cost.
+        passes: at most, None for those of the settings.
+        workers: share the windows.
+    """
+    deviation = base_deviations(shooting)
     cost = shooting.clip_cost(windows)
     history = [cost]
     damping = 0.0

@@ -30,7 +30,7 @@ from toile.diagnosis.gap_maps import gap_maps, stage_shares
 from toile.diagnosis.grip import SlipFit, slip_evidence
 from toile.diagnosis.mechanics import analyse_mechanics
 from toile.diagnosis.model_grid import model_grids
-from toile.diagnosis.numerics import time_step_error
+from toile.diagnosis.numerics import StepRefinement, time_step_error
 from toile.diagnosis.refits import refits, settled
 from toile.diagnosis.sharpness import ExposureFit, exposure_evidence, smear
 from toile.diagnosis.shooting import ShootingSettings
@@ -72,6 +72,7 @@ class DiagnosisSettings:
         shooting: windows and priors.
         stiffness: start values Y [N/m], S per cell area [N/m] and B [N·m]: the same fabric on every grid.
         longest_substep: of the base model [s].
+        refinement: of those steps until shorter ones change nothing; None to measure their error only.
         usual_discrepancy: that a right model still needs; beyond it something is missing.
         usual_cost: of the images that a right model leaves, per fitted frame; if it leaves more,
             ``none`` is no proof that nothing is missing.
@@ -90,6 +91,7 @@ class DiagnosisSettings:
     shooting: ShootingSettings = field(default_factory=ShootingSettings)
     stiffness: tuple[float, float, float] = (850.0, 2.8, 5.3e-5)
     longest_substep: float = 0.005
+    refinement: StepRefinement | None = None
     usual_discrepancy: Discrepancy = field(default_factory=lambda: Discrepancy(1.6, 0.1))
     usual_cost: float = 15.0
     refitted: tuple[int, ...] = (5, 2)
@@ -162,6 +164,7 @@ def diagnose(
             used,
             count,
             workers,
+            settings.refinement,
         )
     progress("base model, settled", 0.85)
     with times.stage("refits"):

@@ -26,6 +26,7 @@ from toile.diagnosis.effect_columns import (
 )
 from toile.diagnosis.evidence import Evidence
 from toile.diagnosis.model_grid import ModelGrid
+from toile.diagnosis.numerics import StepRefinement, refined
 from toile.diagnosis.sensitivities import StepForces
 from toile.diagnosis.shooting import Shooting, ShootingSettings, WindowMotion, changed_simulation
 from toile.diagnosis.template_tension import template_tension
@@ -78,6 +79,7 @@ def analyse_mechanics(
     n_frames: int,
     report: Callable[[str, float], None],
     workers: Workers = ALONE,
+    refinement: StepRefinement | None = None,
 ) -> Mechanics:
     """Fit the base model to the first n_frames frames.
 
@@ -92,6 +94,7 @@ def analyse_mechanics(
         n_frames: frames used.
         report: called with a message and the cost.
         workers: share the windows.
+        refinement: of the time step; None to leave it as it is.
     """
     substeps = substeps_per_frame(scene.fps, longest_substep)
     gravity = scene.gravity.numpy().astype(np.float64)
@@ -118,6 +121,9 @@ def analyse_mechanics(
         passes = None if last else 0
         fit = fit_base(shooting, tracked.positions[0], start, n_frames, report, fit, passes, workers)
     assert fit is not None
+    if refinement is not None:
+        nothing = refinement.tolerance * grid.cloth_size[0]
+        shooting, fit = refined(shooting, fit, nothing, refinement.shortest, report, workers)
     around = Surroundings(grid.cloth, grid.cloth_size, torch.from_numpy(gravity), scene.fps, scene.n_frames)
     # At zero, whatever numbers a candidate comes with.
     acting = [

@@ -1,22 +1,38 @@
-"""The time step's own error: the same windows with steps of half the length.
+"""The time step's own error: the same windows with steps of half the length, and a fit with steps so short
+that shorter ones change nothing.
 
 It comes first: what a shorter step changes is no effect of the world, and an effect must not be named for it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from toile.cloth.material import Material
 from toile.cloth.state import State
-from toile.diagnosis.base_fit import BaseFit
-from toile.diagnosis.shooting import Shooting, WindowMotion
+from toile.diagnosis.base_fit import BaseFit, improved
+from toile.diagnosis.shooting import Base, Shooting, WindowMotion
+from toile.diagnosis.workers import ALONE, Workers
 from toile.simulators.implicit.simulator import ImplicitSimulator
-from toile.simulators.rollout import rollout
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class StepRefinement:
+    """When time steps are short enough.
+
+    Attributes:
+        tolerance: change of the fitted motion by steps of half the length, over the cloth's width.
+        shortest: no step is made shorter [s].
+    """
+
+    tolerance: float = 0.001
+    shortest: float = 0.00125
 
 
 def time_step_error(shooting: Shooting, fit: BaseFit) -> float:
@@ -24,39 +40,93 @@ def time_step_error(shooting: Shooting, fit: BaseFit) -> float:
 
     Both start from the same positions and velocities, with the same forces and held vertices.
     """
-    distances = []
-    for window in fit.windows:
-        fitted = window.positions[:: shooting.substeps]
-        distances.append(np.linalg.norm(_finer(shooting, fit, window) - fitted, axis=-1).mean(-1)[1:])
-    return float(np.concatenate(distances).mean())
+    finer = _halved(shooting)
+    return _distance(shooting, fit.windows, finer, _finer_windows(shooting, finer, fit.windows, fit.base))
 
 
-@torch.no_grad()
-def _finer(shooting: Shooting, fit: BaseFit, window: WindowMotion) -> Array:
-    """Frames of a window (n + 1, N, 3) [m] with two steps for every one."""
+def refined(
+    shooting: Shooting,
+    fit: BaseFit,
+    tolerance: float,
+    shortest: float,
+    report: Callable[[str, float], None],
+    workers: Workers = ALONE,
+) -> tuple[Shooting, BaseFit]:
+    """Steps halved and the base model fitted again until steps of half the length change nothing.
+
+    Args:
+        shooting: the problem.
+        fit: the base model.
+        tolerance: mean distance that is nothing [m].
+        shortest: no step is made shorter [s].
+        report: called with a message and the cost.
+        workers: share the windows.
+    """
+    while shooting.simulator.time_step / 2 > (1 - 1e-6) * shortest:
+        finer = _halved(shooting)
+        windows = _finer_windows(shooting, finer, fit.windows, fit.base, workers)
+        if _distance(shooting, fit.windows, finer, windows) <= tolerance:
+            break
+        fit = improved(finer, windows, fit.start_stiffness, fit.values, report, workers=workers)
+        shooting = finer
+    return shooting, fit
+
+
+def _halved(shooting: Shooting) -> Shooting:
+    """The problem with two steps for every one."""
     nominal = shooting.simulator
     assert isinstance(nominal, ImplicitSimulator)
-    H = nominal.time_step
-    h = H / 2
-    simulator = ImplicitSimulator(nominal.cloth, h, nominal.integrator, nominal.newton, nominal.terms)
-    state, anchors, force = shooting.local(window, window.white)
-    # The past of a shorter step, on the parabola through the one there is.
+    simulator = ImplicitSimulator(
+        nominal.cloth, nominal.time_step / 2, nominal.integrator, nominal.newton, nominal.terms
+    )
+    return Shooting(
+        simulator,
+        2 * shooting.substeps,
+        shooting.gravity,
+        shooting.horizontal,
+        shooting.grid,
+        shooting.anchors,
+        shooting.tracked,
+        shooting.settings,
+    )
+
+
+def _finer_windows(
+    shooting: Shooting,
+    finer: Shooting,
+    windows: Sequence[WindowMotion],
+    base: Base,
+    workers: Workers = ALONE,
+) -> list[WindowMotion]:
+    """Windows with all their unknowns as they are, simulated with steps of half the length."""
+    H = shooting.simulator.time_step
+
+    def simulated(window: WindowMotion) -> WindowMotion:
+        near = window.positions
+        between = np.stack((near[:-1], 0.5 * (near[:-1] + near[1:])), 1).reshape(-1, *near.shape[1:])
+        reference = _with_half_past(window.reference, H)
+        window = replace(window, reference=reference, positions=np.concatenate((between, near[-1:])))
+        return finer.simulate(window, window.white, base)
+
+    return list(workers.map(simulated, windows))
+
+
+def _with_half_past(state: State, H: float) -> State:
+    """The state with a past at half the distance H [s], on the parabola through the one there is."""
     x, v = state.positions, state.velocities
     bend = state.past[:, 0] - x + H * v
-    times = [(k + 1) * h for k in range(state.past.shape[1])]
-    past = torch.stack([x - t * v + (t / H) ** 2 * bend for t in times], 1)
-    near = torch.from_numpy(window.positions)
-    between = torch.stack((near[:-1], 0.5 * (near[:-1] + near[1:])), 1).flatten(0, 1)
-    k = torch.from_numpy(fit.base.stiffness)[:, None]
-    total = shooting.gravity + fit.base.wind @ shooting.horizontal + force
-    motion = rollout(
-        simulator,
-        State(x, v, past, state.steps),
-        Material(k[0], k[1], k[2]),
-        torch.from_numpy(shooting.masses[:, None] * total)[None],
-        torch.from_numpy(anchors)[None],
-        2 * shooting.substeps,
-        torch.cat((between, near[-1:]))[None],
-        throw=False,
-    )
-    return np.asarray(motion.positions[0].numpy())
+    times = [(k + 1) * H / 2 for k in range(state.past.shape[1])]
+    return State(x, v, torch.stack([x - t * v + (t / H) ** 2 * bend for t in times], 1), state.steps)
+
+
+def _distance(
+    shooting: Shooting, windows: Sequence[WindowMotion], finer: Shooting, same: Sequence[WindowMotion]
+) -> float:
+    """Mean distance [m] of the frames after the first."""
+    distances = [
+        np.linalg.norm(b.positions[:: finer.substeps] - a.positions[:: shooting.substeps], axis=-1).mean(-1)[
+            1:
+        ]
+        for a, b in zip(windows, same, strict=True)
+    ]
+    return float(np.concatenate(distances).mean())

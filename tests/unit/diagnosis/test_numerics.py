@@ -8,7 +8,7 @@ import torch
 from toile.cloth.cloth import grid_cloth
 from toile.cloth.state import State
 from toile.diagnosis.base_fit import BaseFit
-from toile.diagnosis.numerics import time_step_error
+from toile.diagnosis.numerics import refined, time_step_error
 from toile.diagnosis.shooting import Shooting, ShootingSettings, WindowMotion
 from toile.diagnosis.tracked import Tracked
 from toile.simulators.implicit.integrators import BDF2
@@ -19,8 +19,8 @@ GRID = (6, 6)
 FRAMES = 7
 
 
-def error(substeps: int) -> float:
-    """Of a cloth that swings about its held corners."""
+def fitted(substeps: int) -> tuple[Shooting, BaseFit]:
+    """A cloth that swings about its held corners."""
     cloth = grid_cloth(GRID, (0.3, 0.3), 0.15, (0, 30))
     i, j = torch.meshgrid(torch.arange(6), torch.arange(6), indexing="ij")
     x = (
@@ -45,12 +45,36 @@ def error(substeps: int) -> float:
     window = shooting.simulate(WindowMotion(0, FRAMES - 1, state, white), white, fit.base)
     fit.windows.append(window)
     assert window.converged
-    return time_step_error(shooting, fit)
+    return shooting, fit
 
 
 def test_falls_with_the_step() -> None:
     """By more than the step does."""
-    coarse, middle, fine = (error(n) for n in (4, 16, 64))
+    coarse, middle, fine = (time_step_error(*fitted(n)) for n in (4, 16, 64))
     assert coarse > 1e-4
     assert coarse / middle > 5
     assert middle / fine > 5
+
+
+def test_steps_are_halved_until_shorter_ones_change_nothing() -> None:
+    shooting, fit = fitted(4)
+    before = time_step_error(shooting, fit)
+    quiet = []
+    finer, better = refined(shooting, fit, 0.3 * before, 1e-6, lambda what, cost: quiet.append(what))
+    assert finer.substeps > shooting.substeps
+    assert time_step_error(finer, better) <= 0.3 * before
+    # One halving less would not have been enough.
+    half, worse = refined(shooting, fit, 0.3 * before, 2 * finer.simulator.time_step, lambda what, cost: None)
+    assert 2 * half.substeps == finer.substeps
+    assert time_step_error(half, worse) > 0.3 * before
+    # Unknowns go along: the motion stays near.
+    a, b = fit.windows[0].positions[-1], better.windows[0].positions[-1]
+    assert np.linalg.norm(a - b, axis=-1).mean() < 5 * before
+    np.testing.assert_allclose(better.windows[0].white, fit.windows[0].white, atol=1e-6)
+
+
+def test_steps_that_are_short_enough_stay() -> None:
+    shooting, fit = fitted(16)
+    same, kept = refined(shooting, fit, 1.0, 1e-6, lambda what, cost: None)
+    assert same is shooting
+    assert kept is fit
