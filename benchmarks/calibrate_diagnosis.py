@@ -1,11 +1,13 @@
 """Calibrate the diagnosis on scenes whose effect is known: ``calibration.json`` of the package.
 
     python benchmarks/calibrate_diagnosis.py labels.json RUN [RUN ...] --source "what the scenes are" [--keep]
+    python benchmarks/calibrate_diagnosis.py labels.json RUN [RUN ...] --left-out
 
 ``labels.json`` maps the name of a run's folder to its effect: a name of the catalogue, ``none``, or any other
 name for what is outside. A run is the folder of one ``toile diagnose``. For each effect the scenes in which
 nothing of its kind acts say what evidence is usual; threshold, temperature and the point of ``unknown`` then
-make the known answers as probable as possible. Scenes used here are no test of anything.
+make the known answers as probable as possible. Scenes used here are no test of anything. ``--left-out``
+writes nothing; it answers each scene with a calibration from all others, the nearest thing to a test.
 """
 
 from __future__ import annotations
@@ -123,6 +125,35 @@ def calibrate(cases: list[Case], source: str, before: Calibration | None = None)
     return best[1]
 
 
+def left_out(cases: list[Case]) -> list[Verdict]:
+    """The answer to every scene by a calibration from all the others."""
+    return [
+        verdict_by(case.evidence, calibrate([other for other in cases if other is not case], "the others"))
+        for case in cases
+    ]
+
+
+def summary(cases: list[Case], verdicts: list[Verdict]) -> str:
+    """How many answers are right, by kind of truth."""
+    kinds: dict[str, list[tuple[str, Verdict]]] = {"none": [], "image": [], "motion": [], "outside": []}
+    for case, verdict in zip(cases, verdicts, strict=True):
+        kind = {NONE: "none", UNKNOWN: "outside"}.get(case.truth)
+        if kind is None:
+            kind = "motion" if STAGES[case.truth] in MOVING else "image"
+        kinds[kind].append((case.truth, verdict))
+    lines = []
+    for kind, found in kinds.items():
+        right = sum(verdict.effect == truth for truth, verdict in found)
+        held = sum(truth in verdict.candidates for truth, verdict in found)
+        size = sum(len(verdict.candidates) for _, verdict in found) / max(len(found), 1)
+        wrong = sum(verdict.effect in STAGES and verdict.effect != truth for truth, verdict in found)
+        lines.append(
+            f"{kind}: {right} of {len(found)} right, {held} in the 90 % set of {size:.1f} on average, "
+            f"{wrong} named wrongly"
+        )
+    return "\n".join(lines)
+
+
 def _usual(values: list[float], least: float) -> tuple[float, float]:
     """Mean and deviation of evidence without its effect; the deviation is at least ``least``."""
     n = len(values) + _GRANTED
@@ -138,7 +169,8 @@ def main() -> None:
     )
     parser.add_argument("labels", type=Path)
     parser.add_argument("runs", type=Path, nargs="+")
-    parser.add_argument("--source", required=True)
+    parser.add_argument("--source", default="")
+    parser.add_argument("--left-out", action="store_true", help="each scene answered without itself")
     parser.add_argument(
         "--keep", action="store_true", help="what is usual; for too few scenes without effect"
     )
@@ -146,6 +178,14 @@ def main() -> None:
     arguments = parser.parse_args()
     labels = json.loads(arguments.labels.read_text())
     cases = [read_case(run, labels) for run in arguments.runs if run.name in labels]
+    if arguments.left_out:
+        verdicts = left_out(cases)
+        for case, verdict in zip(cases, verdicts, strict=True):
+            print(f"{case.name:34s} {case.truth:22s} {verdict.effect:22s} {', '.join(verdict.candidates)}")
+        print(summary(cases, verdicts))
+        return
+    if not arguments.source:
+        parser.error("--source: say what the scenes are")
     found = calibrate(cases, arguments.source, Calibration.load() if arguments.keep else None)
     right = 0
     for case in cases:

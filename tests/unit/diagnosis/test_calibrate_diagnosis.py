@@ -64,3 +64,16 @@ def test_a_scene_says_nothing_of_the_usual_where_its_effect_acts(calibrate_diagn
     assert not module.is_quiet(outside, "air_drag")
     found = module.calibrate([*_nulls(module, [0.0, 0.0, 0.0]), moving, outside], "test")
     assert found.usual["air_drag"] == 0.0
+
+
+def test_a_scene_that_is_left_out_does_not_answer_for_itself(calibrate_diagnosis: ModuleType) -> None:
+    module = calibrate_diagnosis
+    loud = {"air_drag": 0.0, "frame_rate": 90.0, UNKNOWN: 0.0}
+    odd = module.Case("odd", NONE, loud)
+    quiet = [*_nulls(module, [0.0] * 6), module.Case("f", "frame_rate", loud)]
+    with_itself = module.verdict_by(loud, module.calibrate([*quiet, odd, odd, odd, odd], "test"))
+    without = module.left_out([*quiet, odd])[-1]
+    assert without.effect == "frame_rate"
+    assert with_itself.effect != "frame_rate"
+    text = module.summary([odd], [without])
+    assert "none: 0 of 1 right, 0 in the 90 % set of 1.0 on average, 1 named wrongly" in text
