@@ -403,6 +403,8 @@ def document(
         f"{len(marks)} scenes ({kinds}; {makers}). The key was {secret}. Predictions sha256 "
         f"`{graded['predictions']}`, hashed before any label was opened.",
     ]
+    # How the set differs from what its composition asks for: scenes left out, another generator.
+    head += [f"{note[0].upper()}{note[1:]}." for note in blind.read_description().get("notes", [])]
     if unanswered.any():
         head.append(
             f"**{int(unanswered.sum())} of {len(marks)} scenes have no diagnosis and count as wrong.**"

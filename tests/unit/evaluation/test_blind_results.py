@@ -118,7 +118,13 @@ def graded(tmp_path: Path) -> tuple[BlindSet, Predictions, SealKey]:
     key = SealKey.of_seed(3)
     blind, predictions = BlindSet(tmp_path / "blind" / "x"), Predictions(tmp_path / "predictions" / "x")
     blind.folder.mkdir(parents=True)
-    description = {"composition": "standard", "blind": True, "key": key.fingerprint, "scenes": list(SCENES)}
+    description = {
+        "composition": "standard",
+        "blind": True,
+        "key": key.fingerprint,
+        "notes": ["the first 12 of 60 scenes in the order of their names"],
+        "scenes": list(SCENES),
+    }
     blind.description.write_text(json.dumps(description))
     for name, (effects, level, generator, given) in SCENES.items():
         write_scene(blind.scenes / name)
@@ -200,6 +206,7 @@ def test_document(graded: tuple[BlindSet, Predictions, SealKey], results: Module
     results.write_results(blind, predictions, docs, permutations=20, draws=2)
     text = (docs / "results" / "blind_standard.md").read_text()
     for part in (
+        "The first 12 of 60 scenes in the order of their names.",
         "1 of 12 scenes have no diagnosis",
         "| false alarms on nulls",
         "## Confusion matrix",
