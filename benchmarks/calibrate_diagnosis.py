@@ -21,8 +21,8 @@ from pathlib import Path
 import numpy as np
 
 from toile.atomic_file import write_text
-from toile.diagnosis.decision import NONE, UNKNOWN, Calibration, Weights, probabilities
-from toile.diagnosis.diagnose import SCREENING_FILE
+from toile.diagnosis.decision import NONE, UNKNOWN, Calibration, Weights, probabilities, tempered
+from toile.diagnosis.diagnose import SCREENING_FILE, DiagnosisSettings
 from toile.diagnosis.effect_columns import FORCES
 from toile.diagnosis.verdict import verdict_of
 from toile.effects.base import Stage
@@ -57,7 +57,7 @@ class Case:
 def evidence_of(run: Path) -> dict[str, float]:
     """Log evidence of a run by effect, and for UNKNOWN, by the present weights."""
     with np.load(run / SCREENING_FILE) as stored:
-        weights = Weights()
+        weights, usual_cost, left = Weights(), DiagnosisSettings().usual_cost, float(stored["left"])
         evidence = {}
         # From what was measured, so that runs with other weights serve as well.
         for name, hindsight, foretold, size in zip(
@@ -66,7 +66,8 @@ def evidence_of(run: Path) -> dict[str, float]:
             moves = isinstance(CATALOGUE[name](), FORCES)
             gain = 0.0 if np.isnan(foretold) else float(foretold)
             moved = np.inf if np.isnan(size) else float(size)
-            evidence[name] = weights.combined(float(hindsight), gain, moved) if moves else float(hindsight)
+            counted = weights.combined(float(hindsight), gain, moved)
+            evidence[name] = tempered(counted, left, usual_cost) if moves else float(hindsight)
         evidence[UNKNOWN] = weights.combined(float(stored["unknown"]), 0.0)
     return evidence
 

@@ -45,6 +45,20 @@ class Weights:
         return value * min(1.0, size / self.smallest) ** 2 if value > 0 else value
 
 
+def tempered(evidence: float, left: float, usual: float) -> float:
+    """Log evidence for an effect that moves the cloth, on a clip that even the best model explains badly.
+
+    What a model is wrong by is then no noise, and evidence counts it as if it were: the likelihood is raised
+    to a power below one (Bissiri, Holmes and Walker 2016, a general framework for updating beliefs).
+
+    Args:
+        evidence: that counts, see Weights.combined.
+        left: cost of the images that the best model leaves, per fitted frame.
+        usual: what a right model leaves.
+    """
+    return evidence * min(1.0, usual / max(left, 1e-9)) if evidence > 0 and left > usual else evidence
+
+
 @dataclass(frozen=True)
 class Calibration:
     """What scenes without an effect, and with known ones, say about the evidence.

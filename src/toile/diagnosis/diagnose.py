@@ -16,7 +16,7 @@ from toile.diagnosis.aliases import alias_of
 from toile.diagnosis.border import BorderFit, border, border_evidence
 from toile.diagnosis.colours import ColourFit, brightness_evidence, colours
 from toile.diagnosis.continuity import Discrepancy
-from toile.diagnosis.decision import UNKNOWN, Calibration, Weights, probabilities
+from toile.diagnosis.decision import UNKNOWN, Calibration, Weights, probabilities, tempered
 from toile.diagnosis.effect_size import effect_size
 from toile.diagnosis.findings import (
     Finding,
@@ -74,8 +74,8 @@ class DiagnosisSettings:
         longest_substep: of the base model [s].
         refinement: of those steps until shorter ones change nothing; None to measure their error only.
         usual_discrepancy: that a right model still needs; beyond it something is missing.
-        usual_cost: of the images that a right model leaves, per fitted frame; if it leaves more,
-            ``none`` is no proof that nothing is missing.
+        usual_cost: of the images that a right model leaves, per fitted frame; if the best one leaves more,
+            what speaks for an effect counts for less, and ``none`` is no proof that nothing is missing.
         refitted: how many effects that move the cloth are fitted on their own, the most promising first: in a
             first pass, in a second one, and so on.
         settling_passes: of the base model at most, with forces of the size that it needs.
@@ -195,13 +195,14 @@ def diagnose(
         width = mechanics.around.cloth_size[0]
         sizes = {name: effect_size(mechanics, model) / width for name, model in models.items()}
     evidence = {name: found.log_evidence for name, found in findings.items()}
+    left = min(model.image_cost for model in (base, *models.values())) / used
     for name in screened.findings:
         fitted, foretold = findings[name].log_evidence, gains.get(name, 0.0)
-        evidence[name] = settings.weights.combined(fitted, foretold, sizes.get(name, np.inf))
+        counted = settings.weights.combined(fitted, foretold, sizes.get(name, np.inf))
+        evidence[name] = tempered(counted, left, settings.usual_cost)
     # What is unknown foretells nothing, better or worse.
     missing = base.evidence.posterior(())
     beyond = missing.log_evidence - base.evidence.posterior((), usual).log_evidence
-    left = min(model.image_cost for model in (base, *models.values())) / used
     unknown = settings.weights.combined(beyond, 0.0)
     chances = probabilities({**evidence, UNKNOWN: unknown}, calibration)
     ranked = [name for name in chances if name in findings]

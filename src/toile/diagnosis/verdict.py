@@ -50,13 +50,16 @@ def verdict_of(
     if not clear:
         stages = {STAGES[c].value for c in candidates if c in STAGES}
         stage = stages.pop() if len(stages) == 1 else UNKNOWN
-        listed = ", ".join(candidates)
+        listed = ", ".join(candidates[:_LISTED])
+        if len(candidates) > _LISTED:
+            listed += f" and {len(candidates) - _LISTED} more"
+        begin = "Nothing stands out: this" if first == NONE else "This"
         return Verdict(
             AMBIGUOUS,
             candidates,
             stage,
             float(sum(found[c] for c in candidates)),
-            f"This clip cannot tell {listed} apart.",
+            f"{begin} clip cannot tell {listed} apart.",
             next_recording(candidates),
         )
     if first == NONE:
@@ -81,5 +84,7 @@ def verdict_of(
     return Verdict(first, candidates, STAGES[first].value, found[first], reason, "", also)
 
 
+# Candidates that a sentence holds.
+_LISTED = 4
 _LIKELY = 0.5
 _AHEAD = 3.0

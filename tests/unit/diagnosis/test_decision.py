@@ -4,7 +4,15 @@ from __future__ import annotations
 
 import pytest
 
-from toile.diagnosis.decision import NONE, UNKNOWN, Calibration, Weights, confidence_set, probabilities
+from toile.diagnosis.decision import (
+    NONE,
+    UNKNOWN,
+    Calibration,
+    Weights,
+    confidence_set,
+    probabilities,
+    tempered,
+)
 from toile.diagnosis.verdict import verdict_of
 from toile.effects.catalogue import CATALOGUE
 from toile.evaluation.diagnosis_record import AMBIGUOUS
@@ -93,3 +101,12 @@ def test_none_does_not_say_that_all_is_explained_where_it_is_not() -> None:
     assert sure.effect == unsure.effect == NONE
     assert "explains the clip to within its noise" in sure.reason
     assert "no proof" in unsure.reason
+
+
+def test_a_clip_that_nothing_explains_says_less_of_effects() -> None:
+    assert tempered(30.0, 10.0, 15.0) == 30.0
+    assert tempered(30.0, 15.0, 15.0) == 30.0
+    assert tempered(30.0, 90.0, 15.0) == pytest.approx(5.0)
+    # A cost below zero is as good as any, and what speaks against an effect stays.
+    assert tempered(30.0, -20.0, 15.0) == 30.0
+    assert tempered(-8.0, 90.0, 15.0) == -8.0
