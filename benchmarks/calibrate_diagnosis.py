@@ -1,13 +1,15 @@
 """Calibrate the diagnosis on scenes whose effect is known: ``calibration.json`` of the package.
 
     python benchmarks/calibrate_diagnosis.py labels.json RUN [RUN ...] --source "what the scenes are" [--keep]
-    python benchmarks/calibrate_diagnosis.py labels.json RUN [RUN ...] --left-out
+    python benchmarks/calibrate_diagnosis.py --left-out
 
 ``labels.json`` maps the name of a run's folder to its effect: a name of the catalogue, ``none``, or any other
 name for what is outside. A run is the folder of one ``toile diagnose``. For each effect the scenes in which
 nothing of its kind acts say what evidence is usual; threshold, temperature and the point of ``unknown`` then
-make the known answers as probable as possible. Scenes used here are no test of anything. ``--left-out``
-writes nothing; it answers each scene with a calibration from all others, the nearest thing to a test.
+make the known answers as probable as possible. The evidence of all scenes is kept in
+``docs/results/calibration_scenes.csv``, which stands for the runs where none are given. Scenes used here are
+no test of anything. ``--left-out`` writes nothing; it answers each scene with a calibration from all others,
+the nearest thing to a test.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from toile.atomic_file import write_text
 from toile.diagnosis.decision import NONE, UNKNOWN, Calibration, Weights, probabilities, tempered
@@ -36,6 +39,7 @@ _LEAST, _LEAST_MOVING = 1.0, 2.0
 # ... and one of them that misleads is no rule: as many scenes of evidence zero and that deviation are taken
 # for granted.
 _GRANTED = 4
+SCENES = Path(__file__).parent.parent / "docs/results/calibration_scenes.csv"
 TARGET = Path(__file__).parent.parent / "src/toile/diagnosis/calibration.json"
 
 
@@ -87,6 +91,22 @@ def read_case(run: Path, labels: dict[str, str]) -> Case:
     label = labels[run.name]
     truth = label if label in STAGES or label == NONE else UNKNOWN
     return Case(run.name, truth, evidence_of(run))
+
+
+def write_cases(cases: list[Case], path: Path) -> None:
+    """A table of scenes: name, truth, log evidence by effect."""
+    rows = [{"scene": case.name, "truth": case.truth} | case.evidence for case in cases]
+    write_text(path, pd.DataFrame(rows).round(3).to_csv(index=False))
+
+
+def read_cases(path: Path) -> list[Case]:
+    """The scenes of such a table."""
+    table = pd.read_csv(path, keep_default_na=False, na_values=[""])
+    known = [name for name in table.columns if name not in ("scene", "truth")]
+    return [
+        Case(row["scene"], row["truth"], {n: float(row[n]) for n in known if not np.isnan(row[n])})
+        for _, row in table.iterrows()
+    ]
 
 
 def is_quiet(case: Case, effect: str) -> bool:
@@ -168,8 +188,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("labels", type=Path)
-    parser.add_argument("runs", type=Path, nargs="+")
+    parser.add_argument("labels", type=Path, nargs="?")
+    parser.add_argument("runs", type=Path, nargs="*")
     parser.add_argument("--source", default="")
     parser.add_argument("--left-out", action="store_true", help="each scene answered without itself")
     parser.add_argument(
@@ -177,8 +197,11 @@ def main() -> None:
     )
     parser.add_argument("--target", type=Path, default=TARGET)
     arguments = parser.parse_args()
-    labels = json.loads(arguments.labels.read_text())
-    cases = [read_case(run, labels) for run in arguments.runs if run.name in labels]
+    if not arguments.runs:
+        cases = read_cases(SCENES)
+    else:
+        labels = json.loads(arguments.labels.read_text())
+        cases = [read_case(run, labels) for run in arguments.runs if run.name in labels]
     if arguments.left_out:
         verdicts = left_out(cases)
         for case, verdict in zip(cases, verdicts, strict=True):
@@ -200,6 +223,7 @@ def main() -> None:
         k: {n: round(v, 3) for n, v in d.items()} if isinstance(d, dict) else d
         for k, d in asdict(found).items()
     }
+    write_cases(cases, SCENES)
     write_text(arguments.target, json.dumps(values, indent=1) + "\n")
 
 

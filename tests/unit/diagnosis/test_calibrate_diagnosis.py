@@ -9,7 +9,7 @@ from types import ModuleType
 
 import pytest
 
-from toile.diagnosis.decision import NONE, UNKNOWN, probabilities
+from toile.diagnosis.decision import NONE, UNKNOWN, Calibration, probabilities
 
 BENCHMARKS = Path(__file__).parents[3] / "benchmarks"
 
@@ -77,3 +77,21 @@ def test_a_scene_that_is_left_out_does_not_answer_for_itself(calibrate_diagnosis
     assert with_itself.effect != "frame_rate"
     text = module.summary([odd], [without])
     assert "none: 0 of 1 right, 0 in the 90 % set of 1.0 on average, 1 named wrongly" in text
+
+
+def test_the_shipped_calibration_comes_from_the_committed_scenes(
+    calibrate_diagnosis: ModuleType, tmp_path: Path
+) -> None:
+    module = calibrate_diagnosis
+    cases = module.read_cases(module.SCENES)
+    shipped = Calibration.load()
+    found = module.calibrate(cases, shipped.source)
+    assert (found.temperature, found.threshold, found.unknown) == (
+        shipped.temperature,
+        shipped.threshold,
+        shipped.unknown,
+    )
+    assert found.usual == pytest.approx(shipped.usual, abs=2e-3)
+    assert found.spread == pytest.approx(shipped.spread, abs=2e-3)
+    module.write_cases(cases, tmp_path / "scenes.csv")
+    assert module.read_cases(tmp_path / "scenes.csv") == cases
