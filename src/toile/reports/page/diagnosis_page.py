@@ -184,10 +184,10 @@ class DiagnosisPage:
         others = [e for e in effects if e not in shown]
         if not effects:
             return ""
+        moves = "<th>moves the cloth by</th>" if self._knows_motion else ""
         head = (
             "<tr><th>effect</th><th class='left'>probability</th>"
-            "<th class='left'>estimates, 90 % intervals</th>"
-            "<th>moves the cloth by</th><th>held-out error</th></tr>"
+            f"<th class='left'>estimates, 90 % intervals</th>{moves}<th>held-out error</th></tr>"
         )
         rows = [self._row(e) for e in shown]
         rest = max(0.0, 1 - sum(e.probability for e in effects))
@@ -198,6 +198,11 @@ class DiagnosisPage:
         more = table(head, [self._row(e) for e in others])
         count = f"{len(others)} other{'s' if len(others) > 1 else ''} below {percent(LIKELY)}"
         return f'{ranking}<details class="ranking"><summary>{count}</summary>{more}</details>'
+
+    @property
+    def _knows_motion(self) -> bool:
+        """Whether it was measured how far any effect moves the cloth."""
+        return any(effect.gap is not None for effect in self.report.effects)
 
     def _row(self, effect: EffectReport) -> str:
         verdict = self.report.verdict
@@ -211,6 +216,7 @@ class DiagnosisPage:
             tags.append('<span class="tag">naive answer</span>')
         gap = "–" if effect.gap is None else f"{_value(effect.gap.estimate, effect.gap.unit)}<br>"
         gap += "" if effect.gap is None else f"<i>{_bounds(effect.gap)}</i>"
+        gap = f"<td>{gap}</td>" if self._knows_motion else ""
         shrink = "–"
         if effect.shrink is not None:
             s = effect.shrink
@@ -220,7 +226,7 @@ class DiagnosisPage:
             f"<tr{' class=best' if chosen else ''}>"
             f"<th>{escape(plain_name(effect.name))}<small>{escape(effect.stage)}</small>{' '.join(tags)}</th>"
             f'<td class="share">{escape(percent(effect.probability))}{_bar(effect.probability, chosen)}</td>'
-            f"<td class='left'>{_estimates(effect.parameters)}</td><td>{gap}</td><td>{shrink}</td></tr>"
+            f"<td class='left'>{_estimates(effect.parameters)}</td>{gap}<td>{shrink}</td></tr>"
         )
 
     def _without_effect(self, rest: float) -> list[str]:
@@ -240,7 +246,7 @@ class DiagnosisPage:
             rows.append(
                 f'<tr class="{"best" if chosen else "rest"}"><th>{label}{tag}</th>'
                 f'<td class="share">{escape(percent(probability))}{_bar(probability, chosen)}</td>'
-                "<td></td><td></td><td></td></tr>"
+                f"<td></td>{'<td></td>' if self._knows_motion else ''}<td></td></tr>"
             )
         return rows
 
