@@ -77,6 +77,13 @@ def test_a_recipe_that_does_not_track_is_refused(toile) -> None:
     assert "optimization=tracking" in err
 
 
+def test_no_workers_are_refused(toile) -> None:
+    assert toile("generate", *SCENE).status == 0
+    status, _, err = toile("diagnose", "scene=clip", *SMALL, "workers=0")
+    assert status == 2
+    assert "workers" in err
+
+
 def test_held_out_images_have_no_part_in_the_fitted_frames(toile) -> None:
     """Neither by the coarse pass of tracking nor by the fine one."""
     assert toile("generate", *SCENE).status == 0

@@ -86,6 +86,13 @@ def _diagnose(cfg: DictConfig, folder: Path, progress: Any) -> tuple[Scene, GapR
     recipe = instantiate(cfg.optimization)
     effects = list(instantiate(cfg.candidates).values())
     settings = instantiate(cfg.diagnosis)
+    if int(cfg.workers) == 0:
+        raise InputError(
+            "Nobody would work",
+            where="workers",
+            expected="a number of processes; -1 for one per core",
+            got="0",
+        )
     with Workers(int(cfg.workers)) as workers:
         report = diagnose(
             build_reconstruction(cfg, scene), recipe, effects, settings, folder, progress, workers

@@ -56,7 +56,7 @@ def tempered(evidence: float, left: float, usual: float) -> float:
         left: cost of the images that the best model leaves, per fitted frame.
         usual: what a right model leaves.
     """
-    return evidence * min(1.0, usual / max(left, 1e-9)) if evidence > 0 and left > usual else evidence
+    return evidence * usual / left if evidence > 0 and left > usual else evidence
 
 
 @dataclass(frozen=True)

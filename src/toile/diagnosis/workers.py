@@ -23,8 +23,6 @@ class Workers:
     """
 
     def __init__(self, count: int = 1) -> None:
-        self.count = count
-        # joblib's type depends on return_as.
         self._parallel = (
             None
             if count == 1
