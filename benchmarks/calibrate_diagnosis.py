@@ -1,7 +1,7 @@
 """Calibrate the diagnosis on scenes whose effect is known: ``calibration.json`` of the package.
 
     python benchmarks/calibrate_diagnosis.py labels.json RUN [RUN ...] --source "what the scenes are" [--keep]
-    python benchmarks/calibrate_diagnosis.py --left-out
+    python benchmarks/calibrate_diagnosis.py --left-out [--usual_cost inf] [--foresight 40]
 
 ``labels.json`` maps the name of a run's folder to its effect: a name of the catalogue, ``none``, or any other
 name for what is outside. A run is the folder of one ``toile diagnose``. For each effect the scenes in which
@@ -58,22 +58,41 @@ class Case:
     evidence: dict[str, float]
 
 
-def evidence_of(run: Path) -> dict[str, float]:
-    """Log evidence of a run by effect, and for UNKNOWN, by the present weights."""
+def measured(run: Path) -> pd.DataFrame:
+    """What a run has measured, one row per effect and one for UNKNOWN: what evidence is made from."""
     with np.load(run / SCREENING_FILE) as stored:
-        weights, usual_cost, left = Weights(), DiagnosisSettings().usual_cost, float(stored["left"])
-        evidence = {}
-        # From what was measured, so that runs with other weights serve as well.
-        for name, hindsight, foretold, size in zip(
-            stored["names"].tolist(), stored["hindsight"], stored["foretold"], stored["size"], strict=True
-        ):
-            moves = isinstance(CATALOGUE[name](), FORCES)
-            gain = 0.0 if np.isnan(foretold) else float(foretold)
-            moved = np.inf if np.isnan(size) else float(size)
-            counted = weights.combined(float(hindsight), gain, moved)
-            evidence[name] = tempered(counted, left, usual_cost) if moves else float(hindsight)
-        evidence[UNKNOWN] = weights.combined(float(stored["unknown"]), 0.0)
+        columns = {
+            "effect": stored["names"].tolist(),
+            "hindsight": stored["hindsight"],
+            "foretold": stored["foretold"],
+            "size": stored["size"],
+        }
+        unknown = {"effect": UNKNOWN, "hindsight": float(stored["unknown"])}
+        table = pd.concat([pd.DataFrame(columns), pd.DataFrame([unknown])], ignore_index=True)
+        return table.assign(left=float(stored["left"]))
+
+
+def evidence_from(
+    table: pd.DataFrame, weights: Weights | None = None, usual_cost: float | None = None
+) -> dict[str, float]:
+    """Log evidence by effect, and for UNKNOWN, from what was measured, whatever the run's own weights."""
+    weights = weights or Weights()
+    usual_cost = DiagnosisSettings().usual_cost if usual_cost is None else usual_cost
+    evidence = {}
+    for row in table.itertuples():
+        name, gain = str(row.effect), 0.0 if np.isnan(row.foretold) else float(row.foretold)
+        evidence[name] = float(row.hindsight)
+        if name == UNKNOWN or isinstance(CATALOGUE[name](), FORCES):
+            size = np.inf if np.isnan(row.size) else float(row.size)
+            evidence[name] = weights.combined(float(row.hindsight), gain, size)
+        if name != UNKNOWN and isinstance(CATALOGUE[name](), FORCES):
+            evidence[name] = tempered(evidence[name], float(row.left), usual_cost)
     return evidence
+
+
+def evidence_of(run: Path) -> dict[str, float]:
+    """Log evidence of a run by effect, and for UNKNOWN."""
+    return evidence_from(measured(run))
 
 
 def verdict_by(evidence: dict[str, float], calibration: Calibration) -> Verdict:
@@ -86,26 +105,25 @@ def verdict_by(evidence: dict[str, float], calibration: Calibration) -> Verdict:
     )
 
 
-def read_case(run: Path, labels: dict[str, str]) -> Case:
-    """One run with its label."""
-    label = labels[run.name]
-    truth = label if label in STAGES or label == NONE else UNKNOWN
-    return Case(run.name, truth, evidence_of(run))
+def read_runs(runs: list[Path], labels: dict[str, str]) -> pd.DataFrame:
+    """What labelled runs have measured, with their names and truths."""
+    tables = []
+    for run in runs:
+        if run.name in labels:
+            label = labels[run.name]
+            truth = label if label in STAGES or label == NONE else UNKNOWN
+            tables.append(measured(run).assign(scene=run.name, truth=truth))
+    table = pd.concat(tables, ignore_index=True)
+    return table[["scene", "truth", *table.columns.drop(["scene", "truth"])]]
 
 
-def write_cases(cases: list[Case], path: Path) -> None:
-    """A table of scenes: name, truth, log evidence by effect."""
-    rows = [{"scene": case.name, "truth": case.truth} | case.evidence for case in cases]
-    write_text(path, pd.DataFrame(rows).round(3).to_csv(index=False))
-
-
-def read_cases(path: Path) -> list[Case]:
-    """The scenes of such a table."""
-    table = pd.read_csv(path, keep_default_na=False, na_values=[""])
-    known = [name for name in table.columns if name not in ("scene", "truth")]
+def cases_of(
+    table: pd.DataFrame, weights: Weights | None = None, usual_cost: float | None = None
+) -> list[Case]:
+    """The scenes of a table of read_runs."""
     return [
-        Case(row["scene"], row["truth"], {n: float(row[n]) for n in known if not np.isnan(row[n])})
-        for _, row in table.iterrows()
+        Case(str(scene), str(rows["truth"].iloc[0]), evidence_from(rows, weights, usual_cost))
+        for scene, rows in table.groupby("scene", sort=False)
     ]
 
 
@@ -139,19 +157,21 @@ def calibrate(cases: list[Case], source: str, before: Calibration | None = None)
         (0.5, 0.75, 1.0, 1.5), (1.5, 2.0, 2.5, 3.0, 4.0, 5.0), (1.5, 2.0, 3.0, 4.0, 5.0, 6.0)
     ):
         tried = Calibration(usual, spread, temperature, threshold, unknown, source)
-        score = sum(np.log(probabilities(c.evidence, tried).get(c.truth, 0.0) + 1e-2) for c in cases)
+        score = sum(_score(case, tried) for case in cases)
         if best is None or score > best[0]:
             best = float(score), tried
     assert best is not None
     return best[1]
 
 
-def left_out(cases: list[Case]) -> list[Verdict]:
-    """The answer to every scene by a calibration from all the others."""
-    return [
-        verdict_by(case.evidence, calibrate([other for other in cases if other is not case], "the others"))
-        for case in cases
-    ]
+def left_out(cases: list[Case]) -> tuple[list[Verdict], float]:
+    """The answer to every scene by a calibration from all the others, and how probable the truths are."""
+    verdicts, score = [], 0.0
+    for case in cases:
+        found = calibrate([other for other in cases if other is not case], "the others")
+        verdicts.append(verdict_by(case.evidence, found))
+        score += _score(case, found)
+    return verdicts, score
 
 
 def summary(cases: list[Case], verdicts: list[Verdict]) -> str:
@@ -175,6 +195,11 @@ def summary(cases: list[Case], verdicts: list[Verdict]) -> str:
     return "\n".join(lines)
 
 
+def _score(case: Case, calibration: Calibration) -> float:
+    """Log probability of the truth; one that is out of the question costs no more than a hundredth."""
+    return float(np.log(probabilities(case.evidence, calibration).get(case.truth, 0.0) + 1e-2))
+
+
 def _usual(values: list[float], least: float) -> tuple[float, float]:
     """Mean and deviation of evidence without its effect; the deviation is at least ``least``."""
     n = len(values) + _GRANTED
@@ -192,24 +217,28 @@ def main() -> None:
     parser.add_argument("runs", type=Path, nargs="*")
     parser.add_argument("--source", default="")
     parser.add_argument("--left-out", action="store_true", help="each scene answered without itself")
+    for name, value in {**asdict(Weights()), "usual_cost": DiagnosisSettings().usual_cost}.items():
+        parser.add_argument(f"--{name}", type=float, default=value, help="tried, with --left-out")
     parser.add_argument(
         "--keep", action="store_true", help="what is usual; for too few scenes without effect"
     )
     parser.add_argument("--target", type=Path, default=TARGET)
     arguments = parser.parse_args()
     if not arguments.runs:
-        cases = read_cases(SCENES)
+        table = pd.read_csv(SCENES, keep_default_na=False, na_values=[""])
     else:
-        labels = json.loads(arguments.labels.read_text())
-        cases = [read_case(run, labels) for run in arguments.runs if run.name in labels]
+        table = read_runs(arguments.runs, json.loads(arguments.labels.read_text()))
     if arguments.left_out:
-        verdicts = left_out(cases)
+        weights = Weights(**{name: getattr(arguments, name) for name in asdict(Weights())})
+        cases = cases_of(table, weights, arguments.usual_cost)
+        verdicts, score = left_out(cases)
         for case, verdict in zip(cases, verdicts, strict=True):
             print(f"{case.name:34s} {case.truth:22s} {verdict.effect:22s} {', '.join(verdict.candidates)}")
-        print(summary(cases, verdicts))
+        print(f"{summary(cases, verdicts)}\nlog score {score:.1f}")
         return
     if not arguments.source:
         parser.error("--source: say what the scenes are")
+    cases = cases_of(table)
     found = calibrate(cases, arguments.source, Calibration.load() if arguments.keep else None)
     right = 0
     for case in cases:
@@ -223,7 +252,7 @@ def main() -> None:
         k: {n: round(v, 3) for n, v in d.items()} if isinstance(d, dict) else d
         for k, d in asdict(found).items()
     }
-    write_cases(cases, SCENES)
+    write_text(SCENES, table.to_csv(index=False, float_format="%.6g"))
     write_text(arguments.target, json.dumps(values, indent=1) + "\n")
 
 
