@@ -1,6 +1,7 @@
 """The documents of a graded blind check: ``docs/results/blind_standard.md``, its tables as CSV, its figure.
 
     make blind-results
+    python benchmarks/blind_results.py standard4 --stem blind_standard_before    # another set, beside it
 
 Reads what ``toile blind grade`` has written, the answers and the files of the scenes: no key, no sealed
 label.
@@ -385,9 +386,10 @@ def magnitudes_table(marks: pd.DataFrame) -> pd.DataFrame:
 
 
 def document(
-    name: str, blind: BlindSet, predictions: Predictions, marks: pd.DataFrame, leak: str, times: pd.DataFrame
+    stem: str, blind: BlindSet, predictions: Predictions, marks: pd.DataFrame, leak: str, times: pd.DataFrame
 ) -> str:
     """The whole page."""
+    name = blind.read_description()["composition"]
     folder = predictions.grade
     graded = json.loads((folder / "graded.json").read_text())
     measures = read_table(folder / "measures.csv")
@@ -399,7 +401,8 @@ def document(
     secret = "drawn at random" if graded["blind"] else "made from a seed, so nothing here was blind"
     head = [
         f"# Blind check of the diagnosis: {name} set",
-        "Made by `make blind-results`, from what `toile blind make`, `run` and `grade` left. "
+        "Made by `benchmarks/blind_results.py` (`make blind-results`), from what "
+        "`toile blind make`, `run` and `grade` left. "
         f"{len(marks)} scenes ({kinds}; {makers}). The key was {secret}. Predictions sha256 "
         f"`{graded['predictions']}`, hashed before any label was opened.",
     ]
@@ -460,7 +463,7 @@ def document(
         ),
         (
             "Shrink of the held-out error",
-            f"![Shrink of the held-out error](../images/blind_shrink.png)\n\n{shrink_caption(moving)}\n\n"
+            f"![Shrink of the held-out error](../images/{stem}_shrink.png)\n\n{shrink_caption(moving)}\n\n"
             + shown(shrink_medians(moving))
             + "\n\n"
             + shown(shrink_table(moving)),
@@ -502,7 +505,13 @@ def put_between(text: str, marker: str, body: str) -> str:
 
 
 def write_results(
-    blind: BlindSet, predictions: Predictions, docs: Path, *, permutations: int = 1000, draws: int = 30
+    blind: BlindSet,
+    predictions: Predictions,
+    docs: Path,
+    *,
+    stem: str | None = None,
+    permutations: int = 1000,
+    draws: int = 30,
 ) -> list[Path]:
     """Write everything; returns the paths.
 
@@ -510,6 +519,8 @@ def write_results(
         blind: the set.
         predictions: answers and grade.
         docs: ``results`` and ``images`` are below it.
+        stem: of the files; ``blind_`` and the composition unless given. With another one nothing else is
+            touched: the summary on the page of the diagnosis and the run times are those of one set.
         permutations: of the labels in the leak test.
         draws: in the measurement of its power.
 
@@ -530,34 +541,34 @@ def write_results(
             expected=digest,
             got=str(graded["predictions"]),
         )
-    name = str(blind.read_description()["composition"])
+    usual = f"blind_{blind.read_description()['composition']}"
+    stem = usual if stem is None else stem
     marks = read_table(predictions.grade / "scenes.csv")
     times = gathered_times(blind, predictions)
     leak = leak_tables(blind, marks, permutations, draws)
     results = docs / "results"
-    stem = f"blind_{name}"
     everything = read_table(predictions.grade / "measures.csv")
     everything.insert(0, "generator", "all")
     measures = pd.concat((everything, read_table(predictions.grade / "generators.csv")))
     paths = [
         write_text(results / f"{stem}.csv", measures.to_csv(index=False, float_format="%.6g")),
         write_text(results / f"{stem}_scenes.csv", marks.to_csv(index=False, float_format="%.6g")),
-        shrink_figure(moving_singles(marks), docs / "images" / "blind_shrink.png"),
+        shrink_figure(moving_singles(marks), docs / "images" / f"{stem}_shrink.png"),
     ]
     if len(times):
         paths.append(
             write_text(results / f"{stem}_times.csv", times.to_csv(index=False, float_format="%.4g"))
         )
         benchmarks = results / "benchmarks.md"
-        if benchmarks.is_file():
+        if stem == usual and benchmarks.is_file():
             changed = put_section(benchmarks.read_text(), "bench_diagnosis", times_text(times))
             paths.append(write_text(benchmarks, changed))
-    paths.append(write_text(results / f"{stem}.md", document(name, blind, predictions, marks, leak, times)))
+    paths.append(write_text(results / f"{stem}.md", document(stem, blind, predictions, marks, leak, times)))
     page = docs / "diagnosis.md"
-    if page.is_file():
+    if stem == usual and page.is_file():
         summary = shown(measures_table(everything.drop(columns="generator")))
         summary += f"\n\nAll tables: [results/{stem}.md](results/{stem}.md).\n\n"
-        summary += "![Shrink of the held-out error](images/blind_shrink.png)\n\n"
+        summary += f"![Shrink of the held-out error](images/{stem}_shrink.png)\n\n"
         summary += shrink_caption(moving_singles(marks))
         text = page.read_text()
         changed = put_between(text, "blind", summary)
@@ -574,13 +585,19 @@ def main() -> None:
     parser.add_argument("name", nargs="?", default="standard", help="of the set")
     parser.add_argument("--outputs", type=Path, default=Path("outputs"))
     parser.add_argument("--docs", type=Path, default=Path("docs"))
+    parser.add_argument("--stem", help="of the files, in place of blind_ and the composition")
     parser.add_argument("--permutations", type=int, default=1000)
     parser.add_argument("--draws", type=int, default=30)
     given = parser.parse_args()
     blind = BlindSet(given.outputs / "blind" / given.name)
     predictions = Predictions(given.outputs / "blind_predictions" / given.name)
     for path in write_results(
-        blind, predictions, given.docs, permutations=given.permutations, draws=given.draws
+        blind,
+        predictions,
+        given.docs,
+        stem=given.stem,
+        permutations=given.permutations,
+        draws=given.draws,
     ):
         print(path)
 

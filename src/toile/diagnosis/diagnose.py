@@ -28,6 +28,7 @@ from toile.diagnosis.findings import (
 )
 from toile.diagnosis.gap_maps import gap_maps, stage_shares
 from toile.diagnosis.grip import SlipFit, slip_evidence
+from toile.diagnosis.lost_tracking import first_lost, outline_overlap
 from toile.diagnosis.mechanics import analyse_mechanics
 from toile.diagnosis.model_grid import model_grids
 from toile.diagnosis.numerics import StepRefinement, time_step_error
@@ -57,6 +58,8 @@ SCREENING_FILE = "screening.npz"
 HELD_OUT_FILE = "held_out.npz"
 """Predicted positions of the held-out frames on the scene's grid, by what was in the model."""
 
+# Frames that are fitted at least.
+_FEWEST = 6
 # First-order log evidence from which on an effect is refitted.
 _PROMISING = -4.0
 
@@ -128,13 +131,16 @@ def diagnose(
     torch.manual_seed(settings.seed)
     scene = reconstruction.scene
     n_frames = scene.n_frames
-    used = max(6, n_frames - round(settings.held_out * n_frames))
+    used = max(_FEWEST, n_frames - round(settings.held_out * n_frames))
     _start_stiffness(reconstruction, settings.stiffness)
     times = StageTimes()
     with times.stage("tracking"):
         positions, cached = _tracked_positions(
             reconstruction, recipe, settings.coarse, used, folder, progress
         )
+        # What comes after that is no motion of this cloth.
+        known = max(_FEWEST, first_lost(outline_overlap(reconstruction, positions)))
+        used = min(used, known)
     if cached:
         times.from_cache("tracking")
     times.write(folder / TIMES_FILE)
@@ -214,6 +220,7 @@ def diagnose(
             base,
             {name: models[name] for name in compared},
             used=used,
+            known=known,
             horizon=settings.shooting.window,
             n_placebos=settings.placebos,
             seed=settings.seed,
@@ -254,7 +261,14 @@ def diagnose(
     )
     by_name = {effect.NAME: effect for effect in effects}
     return GapReport(
-        verdict_of(chances, evidence, calibration, held_out.shrinks, explained=left <= settings.usual_cost),
+        verdict_of(
+            chances,
+            evidence,
+            calibration,
+            held_out.shrinks,
+            explained=left <= settings.usual_cost,
+            lost_at=known if known < n_frames else None,
+        ),
         Where(stage_shares(evidence, calibration, numerics), maps.frames, VERTICES_FILE, maps.regimes),
         tuple(
             EffectReport(
@@ -270,7 +284,7 @@ def diagnose(
         Protocol(
             settings.seed,
             tuple(range(used)),
-            tuple(range(used, n_frames)),
+            tuple(range(used, known)),
             f"toile {version('toile')}",
             naive_answer(best, findings),
         ),

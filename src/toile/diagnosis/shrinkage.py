@@ -55,6 +55,7 @@ def held_out_shrinks(
     refits: Mapping[str, Refit],
     *,
     used: int,
+    known: int,
     horizon: int,
     n_placebos: int,
     seed: int,
@@ -68,13 +69,14 @@ def held_out_shrinks(
         base: the base model at its best.
         refits: effects that move the cloth, by name.
         used: frames that were fitted.
+        known: frames in which the tracked motion is that of the cloth.
         horizon: held-out frames at most.
         n_placebos: force fields without meaning, see best_placebo.
         seed: of placebos and resampling.
     """
     around = mechanics.around
     first = used - 1
-    last = min(around.n_frames - 1, first + horizon)
+    last = min(known - 1, first + horizon)
     end = base.windows[-1].end
     if last <= first or end is None:
         return HeldOut({}, (), {})

@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 from scipy import sparse
 
+from toile.diagnosis.lost_tracking import first_lost, outline_overlap
 from toile.diagnosis.model_grid import ModelGrid
 from toile.fitting.gauss_newton.recipe import SlidingWindows, Stage, TrackingRecipe, Windows, visible
 from toile.fitting.reconstruction import Reconstruction
@@ -62,12 +63,15 @@ class CoarseTracking:
         per_side: points along each side of the cloth.
         cg_iterations: per window.
         fine_stride: frames by which the fine pass advances, whose start is close already.
+        mask_factors: by how much the silhouette weighs more than in the recipe. They are tried in turn, as
+            long as the fine pass loses the cloth.
     """
 
     blur: float = 10.0
     per_side: int = 32
     cg_iterations: int = 15
     fine_stride: int = 2
+    mask_factors: tuple[float, ...] = (1.0, 10.0)
 
 
 class StopAt(Windows):
@@ -100,6 +104,41 @@ def track(
     used: int,
     report: Callable[[int, float], None],
 ) -> Array:
+    """Track the motion; where the cloth is lost, once more with a heavier silhouette in the first pass.
+
+    A cloth that folds over where the image shows it flat hides its points, and points say nothing about what
+    they leave uncovered. The outline tells (outline_overlap); the try that keeps the cloth longest counts.
+
+    Args:
+        reconstruction: changed in place.
+        recipe: see track_once.
+        coarse: see track_once.
+        used: see track_once.
+        report: see track_once.
+    """
+    start = {name: value.clone() for name, value in reconstruction.parameters.state_dict().items()}
+    best: Array | None = None
+    longest = -1
+    for factor in (1.0,) if coarse is None else coarse.mask_factors:
+        reconstruction.parameters.load_state_dict(start)
+        positions = track_once(reconstruction, recipe, coarse, used, report, factor)
+        kept = min(first_lost(outline_overlap(reconstruction, positions)), used)
+        if kept > longest:
+            best, longest = positions, kept
+        if kept == used:
+            break
+    assert best is not None
+    return best
+
+
+def track_once(
+    reconstruction: Reconstruction,
+    recipe: TrackingRecipe,
+    coarse: CoarseTracking | None,
+    used: int,
+    report: Callable[[int, float], None],
+    mask_factor: float,
+) -> Array:
     """Track the motion on blurred images, then by the recipe's last stage; frame positions (F, N, 3) [m].
 
     The first ``used`` frames stay as they were when neither pass had seen any others.
@@ -110,12 +149,16 @@ def track(
         coarse: see CoarseTracking; None for the second pass alone.
         used: frames.
         report: called with the frames covered and the share that is done.
+        mask_factor: of the silhouette's weight in the first pass.
     """
     last = recipe.stages[-1]
     fine = replace(last, windows=StopAt(last.windows, used - 1))
     first: Stage | None = None
     if coarse is not None:
-        term = replace(point_settings(recipe), blur=coarse.blur, per_side=coarse.per_side)
+        term = point_settings(recipe)
+        term = replace(
+            term, blur=coarse.blur, per_side=coarse.per_side, mask_weight=mask_factor * term.mask_weight
+        )
         first = replace(fine, term=term, cg_iterations=coarse.cg_iterations)
         if isinstance(last.windows, SlidingWindows):
             skipping = SlidingWindows(last.windows.lag, coarse.fine_stride, last.windows.repeats)

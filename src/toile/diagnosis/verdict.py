@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 from toile.diagnosis.decision import NONE, UNKNOWN, Calibration, confidence_set
 from toile.diagnosis.recordings import next_recording
@@ -24,6 +25,7 @@ def verdict_of(
     shrinks: Mapping[str, Shrink],
     *,
     explained: bool = True,
+    lost_at: int | None = None,
 ) -> Verdict:
     """The verdict from probabilities, most probable first, and the evidence they come from.
 
@@ -33,7 +35,25 @@ def verdict_of(
         calibration: see Calibration.
         shrinks: of held-out errors, by effect.
         explained: whether the best model leaves no more of the images than a right one does.
+        lost_at: frame in which tracking has lost the cloth, so that later ones do not count; None if in none.
     """
+    verdict = _verdict(found, evidence, calibration, shrinks, explained=explained)
+    if lost_at is None:
+        return verdict
+    return replace(
+        verdict,
+        reason=f"{verdict.reason} Tracking loses the cloth in frame {lost_at}; only frames before it count.",
+    )
+
+
+def _verdict(
+    found: Mapping[str, float],
+    evidence: Mapping[str, float],
+    calibration: Calibration,
+    shrinks: Mapping[str, Shrink],
+    *,
+    explained: bool,
+) -> Verdict:
     candidates = confidence_set(found)
     first = candidates[0]
     also = None

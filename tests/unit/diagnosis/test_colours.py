@@ -42,3 +42,18 @@ def test_noise_and_an_occluder_are_no_light() -> None:
         passing[f, (3 * f) % P : (3 * f) % P + 6] -= 1.0
     occluded = brightness_evidence(CATALOGUE["shading"](), seen(passing, normals))
     assert occluded.explained < 0.3
+
+
+def test_frames_whose_tracking_is_lost_do_not_decide() -> None:
+    normals = turning()
+    rng = np.random.default_rng(1)
+    still = rng.normal(0, 0.01, (F, P))
+    lost = still.copy()
+    # Colours of other places, which happen to follow the normals there; all other frames say no.
+    lost[-4:] += (normals[-4:] - normals[:1])[..., 0] + rng.normal(0, 0.1, (4, P))
+    found = brightness_evidence(CATALOGUE["shading"](), seen(lost, normals))
+    assert np.sqrt((lost[-4:] ** 2).mean()) > 0.15
+    assert found.log_evidence < 0
+    # The very same in all frames is light.
+    lit = still + (normals - normals[:1])[..., 0]
+    assert brightness_evidence(CATALOGUE["shading"](), seen(lit, normals)).log_evidence > 20

@@ -211,13 +211,13 @@ def test_document(graded: tuple[BlindSet, Predictions, SealKey], results: Module
         "| false alarms on nulls",
         "## Confusion matrix",
         "log_factor: 0.0953, 0.09 [0.05, 0.13]",
-        "../images/blind_shrink.png",
+        "../images/blind_standard_shrink.png",
         "| a00010 ",
         "linear 0.5 1/s",
         "## Run times",
     ):
         assert part in text, part
-    assert (docs / "images" / "blind_shrink.png").stat().st_size > 1000
+    assert (docs / "images" / "blind_standard_shrink.png").stat().st_size > 1000
     measures = pd.read_csv(docs / "results" / "blind_standard.csv")
     assert set(measures["generator"]) == {"all", "reality", "blender"}
     times = pd.read_csv(docs / "results" / "blind_standard_times.csv")
@@ -232,6 +232,28 @@ def test_document(graded: tuple[BlindSet, Predictions, SealKey], results: Module
     assert page.endswith("after\n")
     assert "old" not in page
     assert "| stage accuracy" in page
+
+
+def test_another_set_beside_it(
+    graded: tuple[BlindSet, Predictions, SealKey], results: ModuleType, tmp_path: Path
+) -> None:
+    blind, predictions, _ = graded
+    docs = tmp_path / "docs"
+    (docs / "results").mkdir(parents=True)
+    page, times = docs / "diagnosis.md", docs / "results" / "benchmarks.md"
+    page.write_text("<!-- blind -->\nof one set\n<!-- /blind -->\n")
+    times.write_text("## bench_diagnosis\n\nof one set\n")
+    made = results.write_results(blind, predictions, docs, stem="before", permutations=20, draws=2)
+    assert {path.name.removeprefix("before") for path in made} == {
+        ".csv",
+        "_scenes.csv",
+        "_times.csv",
+        "_shrink.png",
+        ".md",
+    }
+    assert "../images/before_shrink.png" in (docs / "results" / "before.md").read_text()
+    assert "of one set" in page.read_text()
+    assert "of one set" in times.read_text()
 
 
 def test_grade_of_other_predictions_is_refused(

@@ -1,0 +1,32 @@
+"""From which frame on tracking has lost the cloth, told by its outline."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from toile.evaluation.silhouette import intersection_over_union
+from toile.fitting.reconstruction import Reconstruction
+
+Array = NDArray[np.float64]
+
+# Share of frame 0's overlap. A wrong camera or mask lowers it in all frames alike; a tracked cloth that has
+# folded over, or slipped by a print's period, lowers it later.
+_LEAST = 0.9
+
+
+def outline_overlap(reconstruction: Reconstruction, positions: Array) -> Array:
+    """Intersection over union (F,) of silhouette and mask in the first frames, at positions (F, N, 3) [m]."""
+    scene = reconstruction.scene
+    overlap = np.empty(len(positions))
+    for frame, x in enumerate(torch.from_numpy(positions)):
+        seen = reconstruction.renderer.rasterize(x[None], reconstruction.faces, scene.camera).face[0] >= 0
+        overlap[frame] = float(intersection_over_union(seen.double(), scene.masks[frame]))
+    return overlap
+
+
+def first_lost(overlap: Array) -> int:
+    """First frame whose outline overlaps far less than that of frame 0; the number of frames if none does."""
+    lost = np.flatnonzero(overlap < _LEAST * overlap[0])
+    return int(lost[0]) if len(lost) else len(overlap)

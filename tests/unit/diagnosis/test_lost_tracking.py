@@ -1,0 +1,80 @@
+"""Tracking that loses the cloth, as its outline tells."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import torch
+
+from toile.diagnosis import tracked
+from toile.diagnosis.lost_tracking import first_lost, outline_overlap
+from toile.diagnosis.tracked import CoarseTracking, track
+from toile.fitting.gauss_newton.recipe import TrackingRecipe
+from toile.fitting.reconstruction import Reconstruction
+
+Problem = Callable[[], Reconstruction]
+
+
+@pytest.fixture
+def truth(swaying_scene) -> np.ndarray:
+    return swaying_scene.ground_truth.vertices.reshape(swaying_scene.n_frames, -1, 3).numpy()
+
+
+def folded(positions: np.ndarray, frame: int) -> np.ndarray:
+    """The cloth's lower third folded up behind the rest, from a frame on: points hide, the image stays."""
+    out = positions.copy().reshape(len(positions), 8, 8, 3)
+    out[frame:, :, 6:] = out[frame:, :, [4, 3]]
+    out[frame:, :, 6:, 2] += 0.02
+    return out.reshape(positions.shape)
+
+
+def test_a_cloth_that_folds_over_is_lost(problem: Problem, truth: np.ndarray) -> None:
+    right = outline_overlap(problem(), truth)
+    assert (right > 0.95).all()
+    assert first_lost(right) == len(truth)
+    wrong = outline_overlap(problem(), folded(truth, 3))
+    np.testing.assert_array_equal(wrong[:3], right[:3])
+    assert (wrong[3:] < 0.85).all()
+    assert first_lost(wrong) == 3
+
+
+def test_a_wrong_camera_loses_nothing() -> None:
+    assert first_lost(np.array([0.77, 0.78, 0.75, 0.74])) == 4
+
+
+def test_a_heavier_silhouette_is_tried_where_the_cloth_is_lost(
+    problem: Problem, truth: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reconstruction = problem()
+    start = reconstruction.parameters.turbulence.detach().clone()
+    results = {1.0: folded(truth, 3), 10.0: folded(truth, 4), 100.0: truth}
+    tried: list[float] = []
+
+    def once(reconstruction, recipe, coarse, used, report, mask_factor):
+        tried.append(mask_factor)
+        assert torch.equal(reconstruction.parameters.turbulence, start), "every try starts anew"
+        with torch.no_grad():
+            reconstruction.parameters.turbulence.add_(1.0)
+        return results[mask_factor]
+
+    monkeypatch.setattr(tracked, "track_once", once)
+    recipe = TrackingRecipe({})
+
+    def tracked_by(factors: tuple[float, ...], used: int) -> np.ndarray:
+        tried.clear()
+        with torch.no_grad():
+            reconstruction.parameters.turbulence.copy_(start)
+        return track(
+            reconstruction, recipe, CoarseTracking(mask_factors=factors), used, lambda frame, share: None
+        )
+
+    np.testing.assert_array_equal(tracked_by((1.0, 10.0, 100.0), 5), truth)
+    assert tried == [1.0, 10.0, 100.0]
+    # What is lost after the fitted frames alone is no reason to try again: they must not have a say.
+    np.testing.assert_array_equal(tracked_by((1.0, 10.0), 3), folded(truth, 3))
+    assert tried == [1.0]
+    # None keeps it: the one that keeps it longest.
+    np.testing.assert_array_equal(tracked_by((10.0, 1.0), 5), folded(truth, 4))
+    assert tried == [10.0, 1.0]
