@@ -1,6 +1,6 @@
-"""What the files of a graded (or development) blind set tell a classifier about its labels.
+"""What the files of graded (or development) blind sets tell a classifier about their labels.
 
-python benchmarks/blind_leak.py outputs/blind/standard outputs/blind_keys/standard.blindkey
+python benchmarks/blind_leak.py standard [standard2 ...]
 """
 
 from __future__ import annotations
@@ -14,11 +14,18 @@ from toile.evaluation.blind_sealing import BlindSet, SealKey
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("set", type=Path)
-    parser.add_argument("key", type=Path)
+    parser.add_argument("names", nargs="+", help="of the sets, which are taken together")
+    parser.add_argument("--outputs", type=Path, default=Path("outputs"))
     parser.add_argument("--permutations", type=int, default=1000)
     given = parser.parse_args()
-    table = leaks_of(BlindSet(given.set), SealKey.read(given.key), permutations=given.permutations)
+    sets = [
+        (
+            BlindSet(given.outputs / "blind" / name),
+            SealKey.read(given.outputs / "blind_keys" / f"{name}.blindkey"),
+        )
+        for name in given.names
+    ]
+    table = leaks_of(sets, permutations=given.permutations)
     print(table.to_markdown(index=False, floatfmt=".3f"))
 
 

@@ -69,7 +69,8 @@ def measured(run: Path) -> pd.DataFrame:
         }
         unknown = {"effect": UNKNOWN, "hindsight": float(stored["unknown"])}
         table = pd.concat([pd.DataFrame(columns), pd.DataFrame([unknown])], ignore_index=True)
-        return table.assign(left=float(stored["left"]))
+        step = float(stored["time_step_error"]) / float(stored["width"])
+        return table.assign(left=float(stored["left"]), step=step)
 
 
 def evidence_from(
@@ -84,7 +85,8 @@ def evidence_from(
         evidence[name] = float(row.hindsight)
         if name == UNKNOWN or isinstance(CATALOGUE[name](), FORCES):
             size = np.inf if np.isnan(row.size) else float(row.size)
-            evidence[name] = weights.combined(float(row.hindsight), gain, size)
+            step = 0.0 if name == UNKNOWN else float(row.step)
+            evidence[name] = weights.combined(float(row.hindsight), gain, size, step)
         if name != UNKNOWN and isinstance(CATALOGUE[name](), FORCES):
             evidence[name] = tempered(evidence[name], float(row.left), usual_cost)
     return evidence

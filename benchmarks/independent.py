@@ -11,18 +11,21 @@ from __future__ import annotations
 import argparse
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import toile.cli  # noqa: F401  # isort: skip  # first, because it sets the number of threads
 
 import numpy as np
 import pandas as pd
-from calibrate_diagnosis import evidence_of, verdict_by
+from calibrate_diagnosis import evidence_of, measured
 
 from toile.atomic_file import write_text
 from toile.cli.diagnose import diagnose_scene
-from toile.diagnosis.decision import Calibration
-from toile.diagnosis.diagnose import SCREENING_FILE
+from toile.diagnosis.decision import UNKNOWN, Calibration, probabilities
+from toile.diagnosis.diagnose import SCREENING_FILE, DiagnosisSettings
+from toile.diagnosis.gap_maps import stage_shares
+from toile.diagnosis.verdict import verdict_of
 from toile.evaluation.diagnosis_record import DIAGNOSIS_FILE, GapReport
 
 OUTPUT = Path("outputs/independent")
@@ -34,14 +37,34 @@ def scenes(data: Path) -> list[Path]:
     return [p for part in ("labelled", "withheld") for p in sorted((data / part).iterdir()) if p.is_dir()]
 
 
+def decided(run: Path) -> GapReport:
+    """The report of a run, with what the committed calibration makes of its measured evidence.
+
+    A run is made with the calibration of its day, and runs of labelled scenes have made later ones.
+    """
+    report, calibration, evidence = GapReport.read(run / DIAGNOSIS_FILE), Calibration.load(), evidence_of(run)
+    chances = probabilities(evidence, calibration)
+    effects = {name: value for name, value in evidence.items() if name != UNKNOWN}
+    explained = float(measured(run)["left"].iloc[0]) <= DiagnosisSettings().usual_cost
+    shrinks = {effect.name: effect.shrink for effect in report.effects if effect.shrink is not None}
+    found = [replace(effect, probability=chances[effect.name]) for effect in report.effects]
+    return replace(
+        report,
+        verdict=verdict_of(chances, effects, calibration, shrinks, explained=explained),
+        where=replace(
+            report.where, stages=stage_shares(effects, calibration, report.where.stages["numerics"])
+        ),
+        effects=tuple(sorted(found, key=lambda effect: -effect.probability)),
+    )
+
+
 def row(scene: Path) -> dict[str, str]:
     """One line of the table."""
-    path = OUTPUT / scene.name / DIAGNOSIS_FILE
-    if not path.is_file():
+    run = OUTPUT / scene.name
+    if not (run / DIAGNOSIS_FILE).is_file():
         return {"scene": scene.name, "label": _label(scene), "answer": "not run"}
-    report = GapReport.read(path)
-    # From the measured evidence, so that runs of labelled scenes that made a calibration serve it as well.
-    verdict = verdict_by(evidence_of(path.parent), Calibration.load())
+    report = decided(run)
+    verdict = report.verdict
     first = report.effect(verdict.effect)
     shrink = first.shrink if first is not None else None
     return {
@@ -52,7 +75,7 @@ def row(scene: Path) -> dict[str, str]:
         "stage": verdict.stage,
         "probability": f"{verdict.probability:.2f}",
         "naive": report.protocol.naive,
-        "hindsight": _hindsight(path.parent),
+        "hindsight": _hindsight(run),
         "held-out error [mm]": "" if shrink is None else f"{shrink.base:.1f} -> {shrink.with_effect:.1f}",
     }
 
@@ -88,12 +111,12 @@ def main() -> None:
     for scene in found:
         answer = OUTPUT / scene.name / DIAGNOSIS_FILE
         if answer.is_file() and not (scene / "label.json").is_file():
-            write_text(RESULTS / "independent" / f"{scene.name}.json", answer.read_text())
+            decided(answer.parent).write(RESULTS / "independent" / f"{scene.name}.json")
     text = f"""# Scenes of the independent engine
 Made by `make independent` (`toile diagnose`, default settings); answers from the measured evidence with the
-committed calibration. The labelled scenes helped to develop the diagnosis and are no test of it (`23a8be`,
-`69da5d`, `a1cb40` and `f6e34f` are in its calibration); the labels of the withheld ones are not known here,
-and the whole answers are in `independent/`.
+committed calibration, in the table and in the predictions. The labelled scenes helped to develop the
+diagnosis and are no test of it (`23a8be`, `69da5d`, `a1cb40` and `f6e34f` are in its calibration); the labels
+of the withheld ones are not known here, and the whole answers are in `independent/`.
 
 {table.to_markdown(index=False)}
 """

@@ -22,8 +22,8 @@ class Weights:
         most: log evidence beyond which more says nothing: it comes from an error that the effect takes up.
         foresight: log evidence for each logarithm by which windows are foretold better.
         farthest: logarithm beyond which better says nothing.
-        smallest: size of an effect, over the cloth's width, from which on what speaks for it counts in full;
-            see effect_size.
+        smallest: size of an effect, over the cloth's width, from which on what speaks for it counts in full,
+            and error of the time step up to which it does; see effect_size and time_step_error.
     """
 
     hindsight: float = 0.5
@@ -32,17 +32,21 @@ class Weights:
     farthest: float = 0.5
     smallest: float = 0.005
 
-    def combined(self, evidence: float, gain: float, size: float = np.inf) -> float:
+    def combined(self, evidence: float, gain: float, size: float = np.inf, numerics: float = 0.0) -> float:
         """Log evidence that counts.
 
         Args:
             evidence: from fitted windows.
             gain: logarithm by which windows are foretold better.
             size: how far the effect moves the cloth, over the cloth's width.
+            numerics: how far half the time step does.
         """
         foreseen = float(np.clip(gain, -self.farthest, self.farthest))
         value = self.hindsight * min(evidence, self.most) + self.foresight * foreseen
-        return value * min(1.0, size / self.smallest) ** 2 if value > 0 else value
+        if value <= 0:
+            return value
+        share = min(1.0, size / self.smallest) * (self.smallest / max(numerics, self.smallest))
+        return value * share**2
 
 
 def tempered(evidence: float, left: float, usual: float) -> float:

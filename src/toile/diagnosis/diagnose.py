@@ -200,11 +200,13 @@ def diagnose(
         gains = prediction_gains(mechanics, base, models, workers)
         width = mechanics.around.cloth_size[0]
         sizes = {name: effect_size(mechanics, model) / width for name, model in models.items()}
+    with times.stage("numerics"):
+        step_error = time_step_error(mechanics.shooting, mechanics.fit)
     evidence = {name: found.log_evidence for name, found in findings.items()}
     left = min(model.image_cost for model in (base, *models.values())) / used
     for name in screened.findings:
         fitted, foretold = findings[name].log_evidence, gains.get(name, 0.0)
-        counted = settings.weights.combined(fitted, foretold, sizes.get(name, np.inf))
+        counted = settings.weights.combined(fitted, foretold, sizes.get(name, np.inf), step_error / width)
         evidence[name] = tempered(counted, left, settings.usual_cost)
     # What is unknown foretells nothing, better or worse.
     missing = base.evidence.posterior(())
@@ -228,8 +230,6 @@ def diagnose(
     progress("maps", 0.97)
     with times.stage("maps"):
         maps = gap_maps(mechanics)
-    with times.stage("numerics"):
-        step_error = time_step_error(mechanics.shooting, mechanics.fit)
     numerics = min(1.0, step_error / max(maps.mean, 1e-9))
     times.write(folder / TIMES_FILE)
     prolong = levels[-1][0].prolong
@@ -256,6 +256,7 @@ def diagnose(
             "discrepancy": np.array(missing.discrepancy),  # internal, external
             "base": mechanics.fit.values,
             "time_step_error": np.array(step_error),
+            "width": np.array(width),
             "costs": np.array(mechanics.fit.history),
         },
     )

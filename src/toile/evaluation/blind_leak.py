@@ -135,14 +135,16 @@ def leak(
     return Leak(question, accuracy, low, high, p, len(y))
 
 
-def leaks_of(blind: BlindSet, key: SealKey, *, seed: int = 0, permutations: int = 200) -> pd.DataFrame:
-    """Leaks of a set, see leaks.
+def leaks_of(
+    sets: Sequence[tuple[BlindSet, SealKey]], *, seed: int = 0, permutations: int = 200
+) -> pd.DataFrame:
+    """Leaks of sets taken together, see leaks.
 
     Opens the labels: for sets that have been graded, or for development.
     """
-    names = sorted(blind.names())
-    labels = [blind.open(key, name).label for name in names]
-    statistics = pd.DataFrame([file_statistics(blind.scenes / name) for name in names])
+    scenes = [(blind, key, name) for blind, key in sets for name in sorted(blind.names())]
+    labels = [blind.open(key, name).label for blind, key, name in scenes]
+    statistics = pd.DataFrame([file_statistics(blind.scenes / name) for blind, _, name in scenes])
     truth = pd.DataFrame(
         {
             "generator": [label.get("generator", "?") for label in labels],

@@ -94,6 +94,23 @@ def test_what_hardly_moves_the_cloth_counts_for_little() -> None:
     assert weights.combined(-8.0, 0.0, 0.002) == -4.0
 
 
+def test_what_the_time_step_is_wrong_by_comes_first() -> None:
+    weights = Weights(hindsight=0.5, foresight=10.0, smallest=0.01)
+    whole = weights.combined(40.0, 0.1, 0.02)
+    assert weights.combined(40.0, 0.1, 0.02, 0.01) == whole
+    assert weights.combined(40.0, 0.1, 0.02, 0.05) == pytest.approx(0.04 * whole)
+    assert weights.combined(40.0, 0.1, 0.005, 0.02) == pytest.approx(0.25 * 0.25 * whole)
+    assert weights.combined(-8.0, 0.0, 0.02, 0.05) == -4.0
+
+
+def test_a_lost_track_is_said() -> None:
+    found = {NONE: 0.97, "air_drag": 0.03}
+    assert "frame" not in verdict_of(found, {"air_drag": 0.0}, CALIBRATION, {}).reason
+    lost = verdict_of(found, {"air_drag": 0.0}, CALIBRATION, {}, lost_at=22)
+    assert lost.effect == NONE
+    assert "loses the cloth in frame 22" in lost.reason
+
+
 def test_none_does_not_say_that_all_is_explained_where_it_is_not() -> None:
     found = {NONE: 0.97, "air_drag": 0.03}
     sure = verdict_of(found, {"air_drag": 0.0}, CALIBRATION, {})
