@@ -109,3 +109,21 @@ def test_held_out_images_have_no_part_in_the_fitted_frames(toile) -> None:
             positions.append(tracked["positions"])
     assert np.abs(positions[0][9:] - positions[1][9:]).max() > 1e-3
     np.testing.assert_array_equal(positions[0][:9], positions[1][:9])
+
+
+def test_frames_after_tracking_has_lost_the_cloth_do_not_count(toile) -> None:
+    assert toile("generate", *SCENE).status == 0
+    scene = next(Path("data").rglob("scene.json")).parent
+    run = Path("run")
+    diagnose_scene(scene, run, SMALL)
+    assert GapReport.read(run / DIAGNOSIS_FILE).protocol.frames_used == tuple(range(9))
+    with np.load(run / TRACKED_FILE) as stored:
+        tracked = dict(stored)
+    tracked["positions"][7:] += [0.2, 0.0, 0.0]
+    np.savez_compressed(run / TRACKED_FILE, **tracked)
+    diagnose_scene(scene, run, SMALL)
+    report = GapReport.read(run / DIAGNOSIS_FILE)
+    assert report.protocol.frames_used == tuple(range(7))
+    assert "loses the cloth in frame 7" in report.verdict.reason
+    # Of what is not known no prediction is measured.
+    assert all(effect.shrink is None for effect in report.effects)

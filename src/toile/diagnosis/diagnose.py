@@ -285,7 +285,7 @@ def diagnose(
         Protocol(
             settings.seed,
             tuple(range(used)),
-            tuple(range(used, known)),
+            tuple(range(used, n_frames)),
             f"toile {version('toile')}",
             naive_answer(best, findings),
         ),
