@@ -27,8 +27,16 @@ _BY_EFFECT = {
 }
 
 
+# Recordings that are asked for at once.
+_MOST = 3
+
+
 def next_recording(candidates: Sequence[str]) -> str:
-    """Recordings that set the candidates apart, most telling first; "" for none of them in the catalogue."""
+    """Recordings that set the candidates apart, most telling first, and no more than somebody would make.
+
+    Args:
+        candidates: most probable first; what is not in the catalogue has no recording of its own.
+    """
     known = [c for c in candidates if c in _BY_EFFECT]
     stages = [STAGES[c] for c in known]
     if not known:
@@ -38,4 +46,4 @@ def next_recording(candidates: Sequence[str]) -> str:
     else:
         head = ""
     wanted = list(dict.fromkeys(_BY_EFFECT[c] for c in known))
-    return "; ".join(([head] if head else []) + wanted)
+    return "; ".join((([head] if head else []) + wanted)[:_MOST])

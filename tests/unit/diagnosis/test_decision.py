@@ -13,6 +13,7 @@ from toile.diagnosis.decision import (
     probabilities,
     tempered,
 )
+from toile.diagnosis.recordings import next_recording
 from toile.diagnosis.verdict import verdict_of
 from toile.effects.catalogue import CATALOGUE
 from toile.evaluation.diagnosis_record import AMBIGUOUS
@@ -92,6 +93,15 @@ def test_what_hardly_moves_the_cloth_counts_for_little() -> None:
     assert weights.combined(40.0, 0.1, 0.002) == pytest.approx(0.04 * whole)
     # What speaks against it is not weakened.
     assert weights.combined(-8.0, 0.0, 0.002) == -4.0
+
+
+def test_no_more_recordings_are_asked_for_than_somebody_would_make() -> None:
+    many = ("none", "air_drag", "gravity_tilt", "frame_rate", "anisotropic_stiffness", "rest_curvature")
+    asked = next_recording(many).split("; ")
+    assert len(asked) == 3
+    assert "shaken" in asked[0]
+    # Those of the most probable ones.
+    assert asked[1:] == next_recording(("air_drag", "gravity_tilt")).split("; ")[1:]
 
 
 def test_what_the_time_step_is_wrong_by_comes_first() -> None:
