@@ -61,7 +61,9 @@ def answer(report: GapReport) -> str:
     """The answer in one sentence."""
     verdict = report.verdict
     if verdict.effect == NONE:
-        return "No gap: the model explains this clip."
+        # While others are in the set, nothing is all that one sees, and no more than that.
+        alone = set(verdict.candidates) <= {NONE}
+        return "No gap: the model explains this clip." if alone else "No gap shows in this clip."
     if verdict.effect == UNKNOWN:
         return "The gap is real, and its cause is outside the catalogue."
     if verdict.effect == AMBIGUOUS:
@@ -82,8 +84,7 @@ def certainty(report: GapReport) -> str:
     others = [plain_name(c) for c in verdict.candidates if c != verdict.effect]
     excluded = f" Not excluded: {listed(others, 'and')}." if others else ""
     if verdict.effect == NONE:
-        text = f"Probability {probability}: nothing that the catalogue or a free force could add is needed."
-        return text + excluded
+        return f"Probability {probability} that nothing is missing.{excluded}"
     if verdict.effect == UNKNOWN:
         text = f"Probability {probability}: forces are missing, and no effect of the catalogue supplies them."
         return text + excluded

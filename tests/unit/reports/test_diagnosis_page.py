@@ -104,11 +104,21 @@ def test_no_gap_and_unknown_causes(report: GapReport) -> None:
         other = dataclasses.replace(answered(report, verdict), effects=quiet)
         assert title in words(header(other))
         assert "95 %" in words(header(other))
+        # Caveats are in the reason.
+        assert "Because." in words(header(other))
         ranking = re.search(r'<tr class="best"><th>(.*?)</th>.*?</tr>', body(other))
         assert ranking is not None
         assert title.lower() in ranking[1]
         # Nothing that the catalogue holds is presented as an answer.
         assert 'class="here"' not in body(other)
+
+
+def test_nothing_seen_is_not_said_to_be_nothing_there(report: GapReport) -> None:
+    sure = answered(report, Verdict(NONE, (NONE,), NONE, 0.95, "", ""))
+    unsure = answered(report, Verdict(NONE, (NONE, UNKNOWN, "gusts"), NONE, 0.53, "", ""))
+    assert "explains this clip" in answer(sure)
+    assert "explains" not in answer(unsure)
+    assert "outside the catalogue and gusts" in words(header(unsure))
 
 
 def test_holds_every_part(report: GapReport, made_up_gap: MakeArrays, tiny_scene: Scene) -> None:

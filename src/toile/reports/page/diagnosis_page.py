@@ -110,6 +110,8 @@ class DiagnosisPage:
             if verdict.next_recording
             else ""
         )
+        # Caveats stand there: what is not explained, frames that do not count.
+        reason = f'<p class="note">{escape(verdict.reason)}</p>' if verdict.reason else ""
         shown = self._cards()
         cards = "".join(
             f'<div class="card"><span class="value">{value}</span>{escape(caption)}</div>'
@@ -117,7 +119,7 @@ class DiagnosisPage:
         )
         return (
             f'<header><p class="eyebrow">toile · diagnosis of {escape(title)}</p>'
-            f'<h1 class="answer">{escape(answer(self.report))}</h1><p class="lead">{lead}</p>{advice}'
+            f'<h1 class="answer">{escape(answer(self.report))}</h1><p class="lead">{lead}</p>{reason}{advice}'
             f'<div class="cards" style="max-width: {260 * len(shown)}px">{cards}</div></header>'
         )
 
