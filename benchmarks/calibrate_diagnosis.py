@@ -1,7 +1,7 @@
 """Calibrate the diagnosis on scenes whose effect is known: ``calibration.json`` of the package.
 
     python benchmarks/calibrate_diagnosis.py labels.json RUN [RUN ...] --source "what the scenes are" [--keep]
-    python benchmarks/calibrate_diagnosis.py --left-out [--usual_cost inf] [--foresight 40]
+    python benchmarks/calibrate_diagnosis.py --left-out [--usual_cost inf] [--foresight 40] [--exact-steps]
 
 ``labels.json`` maps the name of a run's folder to its effect: a name of the catalogue, ``none``, or any other
 name for what is outside. A run is the folder of one ``toile diagnose``. For each effect the scenes in which
@@ -221,6 +221,7 @@ def main() -> None:
     parser.add_argument("--left-out", action="store_true", help="each scene answered without itself")
     for name, value in {**asdict(Weights()), "usual_cost": DiagnosisSettings().usual_cost}.items():
         parser.add_argument(f"--{name}", type=float, default=value, help="tried, with --left-out")
+    parser.add_argument("--exact-steps", action="store_true", help="as if half the time step changed nothing")
     parser.add_argument(
         "--keep", action="store_true", help="what is usual; for too few scenes without effect"
     )
@@ -231,6 +232,8 @@ def main() -> None:
     else:
         table = read_runs(arguments.runs, json.loads(arguments.labels.read_text()))
     if arguments.left_out:
+        if arguments.exact_steps:
+            table = table.assign(step=0.0)
         weights = Weights(**{name: getattr(arguments, name) for name in asdict(Weights())})
         cases = cases_of(table, weights, arguments.usual_cost)
         verdicts, score = left_out(cases)

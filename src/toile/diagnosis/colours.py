@@ -103,9 +103,9 @@ def brightness_evidence(effect: BrightnessEffect, seen: Colours) -> ColourFit:
     The light may turn during the clip: besides the effect's own columns there are the same with slow changes
     in time, which a fixed light does not need and the evidence charges for.
 
-    The noise of every frame is its own, at least that of a sensor and otherwise what light does not explain
-    there: where the tracking is lost, colours are those of other places, and a few such frames must not
-    decide. It is profiled out, and the numbers by Laplace's approximation at their most probable values.
+    The noise of every frame is its own, that of a sensor and what light does not explain there: where the
+    tracking is lost, colours are those of other places, and a few such frames must not decide. It is profiled
+    out, and the numbers by Laplace's approximation at their most probable values.
     """
     scales = effect.scales
     normals = torch.from_numpy(seen.normals)
