@@ -8,7 +8,7 @@ import pytest
 
 from toile.fitting.parameters import ClothParameters
 from toile.fitting.reconstruction import Reconstruction
-from toile.fitting.scene_cloth import scene_cloth, scene_units, template
+from toile.fitting.scene_cloth import RestLengths, scene_cloth, scene_units, template
 from toile.rendering import WarpRenderer
 from toile.scenes.scene import Scene
 from toile.simulators.implicit.integrators import BDF2
@@ -19,18 +19,18 @@ AREAL_DENSITY = 0.15
 
 
 @pytest.fixture
-def problem(swaying_scene: Scene) -> Callable[[], Reconstruction]:
-    """Makes the same problem anew each time."""
+def problem(swaying_scene: Scene) -> Callable[..., Reconstruction]:
+    """Makes the same problem anew each time, with rest lengths and shearing stiffness as asked for."""
 
-    def make() -> Reconstruction:
-        cloth = scene_cloth(swaying_scene, AREAL_DENSITY, template)
+    def make(rest_lengths: RestLengths = template, shearing: float = 8.0) -> Reconstruction:
+        cloth = scene_cloth(swaying_scene, AREAL_DENSITY, rest_lengths)
         parameters = ClothParameters(
             swaying_scene.n_frames,
             cloth.n_vertices,
             len(cloth.held),
             scene_units(swaying_scene, AREAL_DENSITY),
             stretching=3000.0,
-            shearing=8.0,
+            shearing=shearing,
             bending=0.5,
         )
         return Reconstruction(

@@ -38,7 +38,7 @@ from toile.diagnosis.shooting import ShootingSettings
 from toile.diagnosis.shrinkage import held_out_shrinks, prediction_gains
 from toile.diagnosis.stage_times import TIMES_FILE, StageTimes
 from toile.diagnosis.tracked import CoarseTracking, point_settings, track, tracked_motion
-from toile.diagnosis.verdict import verdict_of
+from toile.diagnosis.verdict import until, verdict_of
 from toile.diagnosis.workers import ALONE, Workers
 from toile.effects.anchor_slip import AnchorSlip
 from toile.effects.base import BrightnessEffect, CameraEffect, Effect, ExposureEffect, MaskEffect
@@ -261,15 +261,10 @@ def diagnose(
         },
     )
     by_name = {effect.NAME: effect for effect in effects}
+    explained = left <= settings.usual_cost
+    verdict = verdict_of(chances, evidence, calibration, held_out.shrinks, explained=explained)
     return GapReport(
-        verdict_of(
-            chances,
-            evidence,
-            calibration,
-            held_out.shrinks,
-            explained=left <= settings.usual_cost,
-            lost_at=known if known < n_frames else None,
-        ),
+        until(verdict, known) if known < n_frames else verdict,
         Where(stage_shares(evidence, calibration, numerics), maps.frames, VERTICES_FILE, maps.regimes),
         tuple(
             EffectReport(

@@ -25,7 +25,6 @@ def verdict_of(
     shrinks: Mapping[str, Shrink],
     *,
     explained: bool = True,
-    lost_at: int | None = None,
 ) -> Verdict:
     """The verdict from probabilities, most probable first, and the evidence they come from.
 
@@ -35,25 +34,7 @@ def verdict_of(
         calibration: see Calibration.
         shrinks: of held-out errors, by effect.
         explained: whether the best model leaves no more of the images than a right one does.
-        lost_at: frame in which tracking has lost the cloth, so that later ones do not count; None if in none.
     """
-    verdict = _verdict(found, evidence, calibration, shrinks, explained=explained)
-    if lost_at is None:
-        return verdict
-    return replace(
-        verdict,
-        reason=f"{verdict.reason} Tracking loses the cloth in frame {lost_at}; only frames before it count.",
-    )
-
-
-def _verdict(
-    found: Mapping[str, float],
-    evidence: Mapping[str, float],
-    calibration: Calibration,
-    shrinks: Mapping[str, Shrink],
-    *,
-    explained: bool,
-) -> Verdict:
     candidates = confidence_set(found)
     first = candidates[0]
     also = None
@@ -102,6 +83,12 @@ def _verdict(
         s = shrinks[first]
         reason += f" Held-out error goes from {s.base:.1f} to {s.with_effect:.1f} mm."
     return Verdict(first, candidates, STAGES[first].value, found[first], reason, "", also)
+
+
+def until(verdict: Verdict, frame: int) -> Verdict:
+    """The same verdict, saying that tracking has lost the cloth in a frame."""
+    note = f"Tracking loses the cloth in frame {frame}; only frames before it count."
+    return replace(verdict, reason=f"{verdict.reason} {note}")
 
 
 # Candidates that a sentence holds.

@@ -14,7 +14,7 @@ from toile.diagnosis.decision import (
     tempered,
 )
 from toile.diagnosis.recordings import next_recording
-from toile.diagnosis.verdict import verdict_of
+from toile.diagnosis.verdict import until, verdict_of
 from toile.effects.catalogue import CATALOGUE
 from toile.evaluation.diagnosis_record import AMBIGUOUS
 
@@ -114,10 +114,10 @@ def test_what_the_time_step_is_wrong_by_comes_first() -> None:
 
 
 def test_a_lost_track_is_said() -> None:
-    found = {NONE: 0.97, "air_drag": 0.03}
-    assert "frame" not in verdict_of(found, {"air_drag": 0.0}, CALIBRATION, {}).reason
-    lost = verdict_of(found, {"air_drag": 0.0}, CALIBRATION, {}, lost_at=22)
+    answer = verdict_of({NONE: 0.97, "air_drag": 0.03}, {"air_drag": 0.0}, CALIBRATION, {})
+    lost = until(answer, 22)
     assert lost.effect == NONE
+    assert lost.reason.startswith(answer.reason)
     assert "loses the cloth in frame 22" in lost.reason
 
 

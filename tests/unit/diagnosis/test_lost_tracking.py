@@ -10,9 +10,11 @@ import torch
 
 from toile.diagnosis import tracked
 from toile.diagnosis.lost_tracking import first_lost, outline_overlap
-from toile.diagnosis.tracked import CoarseTracking, track
-from toile.fitting.gauss_newton.recipe import TrackingRecipe
+from toile.diagnosis.tracked import CoarseTracking, track, track_once
+from toile.fitting.gauss_newton.recipe import SlidingWindows, Stage, TrackingRecipe
+from toile.fitting.gauss_newton.unknowns import Priors
 from toile.fitting.reconstruction import Reconstruction
+from toile.fitting.terms.texture_points import PointTermSettings
 
 Problem = Callable[[], Reconstruction]
 
@@ -42,6 +44,34 @@ def test_a_cloth_that_folds_over_is_lost(problem: Problem, truth: np.ndarray) ->
 
 def test_a_wrong_camera_loses_nothing() -> None:
     assert first_lost(np.array([0.77, 0.78, 0.75, 0.74])) == 4
+
+
+def test_the_heavier_silhouette_is_that_of_the_first_pass(
+    problem: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stage = Stage(
+        SlidingWindows(3, 1, 1),
+        PointTermSettings(16, 1.0, None, 4096.0, 50.0),
+        Priors(10.0, 1.0, 2.0, 0.01, 3.0, None, None, walk=False),
+        1,
+        5,
+        0.03,
+        visibility=True,
+        settle=False,
+        discard_turbulence=False,
+    )
+    weights: list[tuple[float, float]] = []
+
+    def noted(stages):
+        recipe = TrackingRecipe(stages)
+        weights.extend((s.term.blur, s.term.mask_weight) for s in recipe.stages)
+        return recipe
+
+    monkeypatch.setattr(tracked, "TrackingRecipe", noted)
+    arguments = (TrackingRecipe({"track": stage}), CoarseTracking(blur=4.0, per_side=8), 4, lambda *_: None)
+    found = [track_once(problem(), *arguments, factor) for factor in (1.0, 10.0)]
+    assert {(4.0, 50.0), (4.0, 500.0), (1.0, 50.0)} == set(weights)
+    assert np.abs(found[0] - found[1]).max() > 1e-6
 
 
 def test_a_heavier_silhouette_is_tried_where_the_cloth_is_lost(

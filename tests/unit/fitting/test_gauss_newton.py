@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 import torch
@@ -11,13 +13,10 @@ from toile.fitting.gauss_newton import conjugate_gradients
 from toile.fitting.gauss_newton.recipe import GrowingWindows, SlidingWindows, Stage, TrackingRecipe
 from toile.fitting.gauss_newton.unknowns import Priors, WindowUnknowns
 from toile.fitting.gauss_newton.window import minimise_window, state_at
-from toile.fitting.parameters import ClothParameters
 from toile.fitting.reconstruction import Reconstruction
-from toile.fitting.scene_cloth import scene_cloth, scene_units, uniform
+from toile.fitting.scene_cloth import uniform
 from toile.fitting.terms.texture_points import PointTermSettings
 from toile.fitting.terms.tracked_positions import PositionTermSettings, TrackedPositionTerm
-from toile.rendering import WarpRenderer
-from toile.scenes.scene import Scene
 from toile.simulators.base import Simulator, StepResult
 from toile.simulators.hybrid.simulator import HybridSimulator
 from toile.simulators.implicit.integrators import BDF2
@@ -30,25 +29,8 @@ PARAMETERS = Priors(None, 1.0, 2.0, None, 3.0, 1.0, 1.0, walk=False)
 
 
 @pytest.fixture
-def problem(swaying_scene: Scene) -> Reconstruction:
-    cloth = scene_cloth(swaying_scene, 0.15, uniform)
-    parameters = ClothParameters(
-        swaying_scene.n_frames,
-        cloth.n_vertices,
-        len(cloth.held),
-        scene_units(swaying_scene, 0.15),
-        stretching=3000.0,
-        shearing=10.0,
-        bending=0.5,
-    )
-    return Reconstruction(
-        swaying_scene,
-        cloth,
-        lambda cloth, step: ImplicitSimulator(cloth, step, BDF2(), NewtonSettings()),
-        2,
-        parameters,
-        WarpRenderer(),
-    )
+def problem(problem: Callable[..., Reconstruction]) -> Reconstruction:
+    return problem(uniform, shearing=10.0)
 
 
 def stage(term: PointTermSettings | PositionTermSettings, priors: Priors, **changes: object) -> Stage:
