@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -144,8 +143,3 @@ def test_presets_are_those_of_the_package() -> None:
         assert instantiate(compose("generate", [f"preset={name}"]).settings) == settings, name
     texture = compose("generate", ["preset=demo"]).texture
     assert (texture.height, texture.width, texture.seed) == (DEMO_TEXTURE_SIZE, DEMO_TEXTURE_SIZE, DEMO.seed)
-
-
-def test_no_file_is_left_out_of_the_package() -> None:
-    assert {path.suffix for path in CONF.rglob("*") if path.is_file()} == {".yaml"}
-    assert (Path(__file__).parents[2] / "pyproject.toml").is_file()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.resources
 import re
 from collections.abc import Sequence
 from dataclasses import fields, is_dataclass, replace
@@ -14,12 +15,11 @@ import yaml
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
-import toile
 from toile.cli.commands import COMMANDS
 from toile.errors import InputError
 
-CONF = Path(toile.__file__).parent / "conf"
-"""The configuration that comes with the package."""
+CONF = Path(str(importlib.resources.files("toile.conf")))
+"""The configuration that comes with the package: conf/ at the top of the repository."""
 
 _HYDRA_SYNTAX = re.compile(r"""[()\[\]{}$'"=]""")
 _FLAGS_WITH_VALUE = {"--config-dir", "-cd", "--config-name", "-cn", "--config-path", "-cp", "--package", "-p"}
