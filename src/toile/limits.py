@@ -44,3 +44,9 @@ CountOrZero = Annotated[int, Field(ge=0)]
 
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
 """A seed of random numbers."""
+
+TwoOrMore = Annotated[int, Field(ge=2)]
+"""A whole number, 2 or above."""
+
+Level = Annotated[int, Field(ge=0, le=255)]
+"""A level of an 8-bit picture."""

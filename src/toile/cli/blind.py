@@ -176,14 +176,7 @@ def _key_of(cfg: DictConfig, blind: BlindSet) -> SealKey:
 
 def _reality(cfg: DictConfig) -> tuple[RealitySettings, list[str]]:
     """Settings of the reality with the templates that are there, and notes on those that are not."""
-    values: Any = OmegaConf.to_container(cfg.reality, resolve=True)
-    values = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
-    try:
-        setup = RealitySettings(**values, data=str(cfg.paths.data))
-    except TypeError as error:
-        raise InputError(
-            "Unknown setting", where="reality", expected="settings of RealitySettings", got=str(error)
-        ) from error
+    setup: RealitySettings = instantiate(cfg.reality)(data=str(cfg.paths.data))
     known = set(available_scenes(cfg.paths.data)) if setup.templates else set()
     there = tuple(name for name in setup.templates if name in known)
     notes = []
@@ -219,7 +212,7 @@ def _describe(
         "name": str(cfg.name),
         "version": __version__,
         "composition": str(cfg.composition),
-        "reality": OmegaConf.to_container(cfg.reality, resolve=True),
+        "reality": _plain(cfg.reality),
         "blind": cfg.seed is None,
         "key": key.fingerprint,
         "notes": notes,
@@ -240,6 +233,13 @@ def _describe(
             return
         # The same set with another first=: its scenes are in the order of their names, so they stay.
     write_text(blind.description, json.dumps(values, indent=1) + "\n")
+
+
+def _plain(node: DictConfig) -> dict[str, Any]:
+    """The settings of a node without what they build."""
+    values = OmegaConf.to_container(node, resolve=True)
+    assert isinstance(values, dict)
+    return {str(key): value for key, value in values.items() if not str(key).startswith("_")}
 
 
 def _part(cfg: DictConfig, items: tuple[Any, ...]) -> list[Any]:

@@ -13,9 +13,10 @@ from typing import Any
 import hydra.utils
 import yaml
 from hydra.core.hydra_config import HydraConfig
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import Container, DictConfig, OmegaConf
 
 from toile.cli.commands import COMMANDS
+from toile.cli.settings import check_arguments
 from toile.errors import InputError
 
 CONF = Path(str(importlib.resources.files("toile.conf")))
@@ -85,7 +86,12 @@ def name_plain_arguments(arguments: Sequence[str], setting: str) -> list[str]:
 
 
 def instantiate(node: Any) -> Any:
-    """Build what ``_target_`` names from plain Python values; in settings, lists become tuples."""
+    """Build what ``_target_`` names from plain Python values; in settings, lists become tuples.
+
+    Raises:
+        InputError: a value that its annotation does not allow.
+    """
+    check_arguments(OmegaConf.to_container(node, resolve=True) if isinstance(node, Container) else node)
     return _with_tuples(None if node is None else hydra.utils.instantiate(node, _convert_="all"))
 
 

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from hydra.core.hydra_config import HydraConfig
-from lightning import Trainer
 from lightning.pytorch.trainer.states import TrainerStatus
 from omegaconf import DictConfig, OmegaConf
 
@@ -25,6 +24,7 @@ from toile.cli.fit_results import (
 )
 from toile.cli.resume import is_finished, last_checkpoint
 from toile.cli.terminal import print_evaluation, print_path
+from toile.cli.trainer import make_trainer
 from toile.errors import InputError
 from toile.evaluation.evaluate import EvaluationResult, evaluate
 from toile.fitting.effects import FitEffects
@@ -165,7 +165,7 @@ def optimise(cfg: DictConfig, module: FitModule, checkpoint: Path | None) -> boo
     """Run the cycles, from a checkpoint if there is one; returns whether it was interrupted."""
     callbacks = [c for c in instantiate(cfg.callbacks).values() if c is not None]
     logger: Any = instantiate(cfg.logger) if cfg.get("logger") else False
-    trainer: Trainer = instantiate(cfg.trainer)(callbacks=callbacks, logger=logger)
+    trainer = make_trainer(cfg.trainer, callbacks, logger)
     if checkpoint is not None:
         log.info("continuing from %s", checkpoint)
     on_interrupt = signal.getsignal(signal.SIGINT)

@@ -90,12 +90,14 @@ def _reporting(run: Callable[[Any], Any], full: bool) -> Callable[[Any], Any]:
     from hydra.types import RunMode
 
     from toile.cli.failures import CommandError
+    from toile.cli.settings import check_settings
     from toile.cli.sweep import noting_failures
 
     @wraps(run)
     def task(cfg: Any) -> Any:
         try:
             with noting_failures():
+                check_settings(cfg)
                 return run(cfg)
         except BrokenPipeError:
             raise

@@ -19,6 +19,7 @@ from toile.cli.configuration import instantiate, output_folder, resolved_yaml
 from toile.cli.machine import machine
 from toile.cli.resume import last_checkpoint
 from toile.cli.terminal import print_path
+from toile.cli.trainer import make_trainer
 from toile.fitting.quiet import quiet_lightning
 from toile.reports.figures import save_figure
 from toile.reports.run_folder import (
@@ -80,7 +81,7 @@ def build_trainer(cfg: DictConfig, stop: StopBetweenSteps) -> Trainer:
     """The trainer with the configured callbacks; what may stop it comes first."""
     callbacks = [stop, *(c for c in instantiate(cfg.callbacks).values() if c is not None)]
     logger: Any = instantiate(cfg.logger) if cfg.get("logger") else False
-    trainer: Trainer = instantiate(cfg.trainer)(callbacks=callbacks, logger=logger)
+    trainer = make_trainer(cfg.trainer, callbacks, logger)
     return trainer
 
 

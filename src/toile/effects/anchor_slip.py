@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import torch
 from torch import Tensor
 
 from toile.effects.base import AnchorEffect, Parameter, Stage, Surroundings
 from toile.errors import InputError
+from toile.limits import CountOrZero, NonNegative, Positive, Unit
 
 
 class AnchorSlip(AnchorEffect):
@@ -36,9 +37,9 @@ class AnchorSlip(AnchorEffect):
     def __init__(
         self,
         values: Mapping[str, float] | None = None,
-        vertex: int = 0,
-        start: float = 0.3,
-        duration: float = 0.2,
+        vertex: CountOrZero = 0,
+        start: Annotated[NonNegative, Unit("s")] = 0.3,
+        duration: Annotated[Positive, Unit("s")] = 0.2,
     ) -> None:
         super().__init__(values)
         if vertex < 0 or start < 0 or not duration > 0:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import torch
 from torch import Tensor
 
 from toile.effects.base import Parameter, Stage, VertexEffect
 from toile.effects.obstacles import Obstacle
+from toile.limits import NonNegative, Positive, Unit
 from toile.simulators.step_terms import StepContext
 
 
@@ -44,8 +45,8 @@ class Contact(VertexEffect):
         self,
         obstacle: Obstacle,
         values: Mapping[str, float] | None = None,
-        thickness: float = 0.0,
-        sticking_speed: float = 0.01,
+        thickness: Annotated[NonNegative, Unit("m")] = 0.0,
+        sticking_speed: Annotated[Positive, Unit("m/s")] = 0.01,
     ) -> None:
         super().__init__(values)
         self._obstacle = obstacle

@@ -11,6 +11,7 @@ from torch import Tensor
 from toile.effects.base import ForceEffect, Parameter, Stage, Surroundings
 from toile.effects.horizontal import horizontal_axes
 from toile.errors import InputError
+from toile.limits import Count
 
 
 def _parameters(n_modes: int) -> tuple[Parameter, ...]:
@@ -42,7 +43,7 @@ class Gusts(ForceEffect):
         "Spectral Representation, Applied Mechanics Reviews 44(4), 1991"
     )
 
-    def __init__(self, values: Mapping[str, float] | None = None, n_modes: int = 6) -> None:
+    def __init__(self, values: Mapping[str, float] | None = None, n_modes: Count = 6) -> None:
         if n_modes < 1:
             raise InputError(
                 "gusts: too few modes", where="effect=gusts", expected="n_modes >= 1", got=str(n_modes)

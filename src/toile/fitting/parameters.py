@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import torch
 from torch import Tensor, nn
 
 from toile.cloth.material import Material
 from toile.cloth.units import NetworkUnits
+from toile.limits import Positive, Unit
 
 
 class ClothParameters(nn.Module):
@@ -32,9 +35,9 @@ class ClothParameters(nn.Module):
         n_held: int,
         units: NetworkUnits,
         *,
-        stretching: float,
-        shearing: float,
-        bending: float,
+        stretching: Annotated[Positive, Unit("network units")],
+        shearing: Annotated[Positive, Unit("network units")],
+        bending: Annotated[Positive, Unit("network units")],
     ) -> None:
         super().__init__()
         double = torch.float64

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Annotated
 
 from torch import Tensor
 
 from toile.cloth.cloth import Cloth, grid_cloth, template_rest_lengths, uniform_rest_lengths
 from toile.cloth.stencils import grid_stencils
 from toile.cloth.units import PAPER_TIME_STEP, NetworkUnits
+from toile.limits import Positive, Unit
 from toile.scenes.scene import Scene
 
 RestLengths = Callable[[Scene], Tensor]
@@ -25,7 +27,9 @@ def template(scene: Scene) -> Tensor:
     return template_rest_lengths(grid_stencils(*scene.grid), scene.template)
 
 
-def scene_cloth(scene: Scene, areal_density: float, rest_lengths: RestLengths) -> Cloth:
+def scene_cloth(
+    scene: Scene, areal_density: Annotated[Positive, Unit("kg/m²")], rest_lengths: RestLengths
+) -> Cloth:
     """The cloth of a scene.
 
     Args:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import final
+from typing import Annotated, final
 
 import torch
 from torch import Tensor
+
+from toile.limits import NonNegative, Positive, Unit
 
 
 class HeldMotion(ABC):
@@ -40,7 +42,7 @@ class Swing(HeldMotion):
     """
 
     amplitude: tuple[float, float, float] = (0.0, 0.0, 0.08)
-    period: float = 1.2
+    period: Annotated[Positive, Unit("s")] = 1.2
 
     def displacement(self, times: Tensor) -> Tensor:
         """See HeldMotion."""
@@ -60,8 +62,8 @@ class Shake(HeldMotion):
     """
 
     amplitude: tuple[float, float, float] = (0.015, 0.0, 0.03)
-    frequency: float = 2.0
-    fade_in: float = 0.25
+    frequency: Annotated[Positive, Unit("1/s")] = 2.0
+    fade_in: Annotated[NonNegative, Unit("s")] = 0.25
 
     def displacement(self, times: Tensor) -> Tensor:
         """See HeldMotion."""

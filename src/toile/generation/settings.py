@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import torch
 
@@ -10,6 +11,7 @@ from toile.cloth.material import Material
 from toile.cloth.units import NetworkUnits
 from toile.errors import InputError
 from toile.generation.motion import HeldMotion, Still
+from toile.limits import Count, CountOrZero, Finite, NonNegative, Positive, Seed, TwoOrMore, Unit
 from toile.simulators.implicit.newton import NewtonSettings
 
 
@@ -52,33 +54,33 @@ class GeneratorSettings:
     """
 
     name: str = "generated"
-    grid: tuple[int, int] = (32, 32)
-    refinement: int = 2
-    substeps: int = 8
-    n_frames: int = 50
-    fps: float = 50.0
-    cloth_size: tuple[float, float] = (0.6, 0.6)
-    areal_density: float = 0.15
-    stretching: float = 4000.0
-    shearing: float = 20.0
-    bending: float = 2.0
+    grid: tuple[TwoOrMore, TwoOrMore] = (32, 32)
+    refinement: Count = 2
+    substeps: Count = 8
+    n_frames: Annotated[TwoOrMore, Unit("frames")] = 50
+    fps: Annotated[Positive, Unit("1/s")] = 50.0
+    cloth_size: tuple[Annotated[Positive, Unit("m")], Annotated[Positive, Unit("m")]] = (0.6, 0.6)
+    areal_density: Annotated[Positive, Unit("kg/m²")] = 0.15
+    stretching: Annotated[Positive, Unit("network units")] = 4000.0
+    shearing: Annotated[Positive, Unit("network units")] = 20.0
+    bending: Annotated[NonNegative, Unit("network units")] = 2.0
     gravity: tuple[float, float, float] = (0.0, 9.81, 0.0)
     initial_wind: tuple[float, float, float] = (0.5, 0.0, -1.0)
     wind: tuple[float, float, float] = (-0.3, 0.0, 1.5)
-    held_distance: float = 0.96
+    held_distance: Positive = 0.96
     held_motion: HeldMotion = field(default_factory=Still)
-    distance: float = 1.1
-    yaw: float = 0.0
-    image_size: tuple[int, int] = (480, 480)
-    focal_length: float = 720.0
-    image_scale: float = 1.0
-    crop_margin: int | None = None
-    supersampling: int = 2
-    blur: float = 0.4
-    noise: float = 0.01
-    settled: float = 1e-3
-    newton_tolerance: float = 1e-6
-    seed: int = 0
+    distance: Annotated[Positive, Unit("m")] = 1.1
+    yaw: Annotated[Finite, Unit("degrees")] = 0.0
+    image_size: tuple[Annotated[Count, Unit("px")], Annotated[Count, Unit("px")]] = (480, 480)
+    focal_length: Annotated[Positive, Unit("px")] = 720.0
+    image_scale: Positive = 1.0
+    crop_margin: Annotated[CountOrZero, Unit("px")] | None = None
+    supersampling: Count = 2
+    blur: Annotated[NonNegative, Unit("px")] = 0.4
+    noise: NonNegative = 0.01
+    settled: Annotated[Positive, Unit("m/s²")] = 1e-3
+    newton_tolerance: Positive = 1e-6
+    seed: Seed = 0
 
     def __post_init__(self) -> None:
         positive = ("refinement", "substeps", "n_frames", "fps", "areal_density", "distance", "focal_length")

@@ -9,6 +9,7 @@ from PIL import Image, ImageDraw
 from torch import Tensor
 
 from toile.errors import InputError
+from toile.limits import Count, Seed
 
 _OVERSAMPLING = 2
 _DARKEST, _BRIGHTEST = 0.12, 0.98  # never as dark as the black background, never clipped
@@ -17,7 +18,7 @@ Draw = ImageDraw.ImageDraw
 Rng = np.random.Generator
 
 
-def procedural_texture(height: int, width: int, seed: int) -> Tensor:
+def procedural_texture(height: Count, width: Count, seed: Seed) -> Tensor:
     """Smooth coloured noise under random shapes and glyphs, from a fifth of the side down to a few pixels.
 
     Rows of real prints repeat and give an image term false minima; here no two places look alike.

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from toile.errors import InputError
 from toile.geometry.camera import Camera
+from toile.limits import Count
 from toile.rendering.base import (
     NEAR,
     Fragments,
@@ -37,7 +38,7 @@ class NvdiffrastRenderer(Renderer):
             number of at least 1.
     """
 
-    def __init__(self, supersampling: int = 1) -> None:
+    def __init__(self, supersampling: Count = 1) -> None:
         self.supersampling = check_supersampling(supersampling)
         try:
             self._dr: Any = importlib.import_module("nvdiffrast.torch")

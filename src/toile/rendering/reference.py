@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from toile.geometry.camera import Camera
+from toile.limits import Count
 from toile.rendering.base import (
     Fragments,
     RenderedImages,
@@ -33,7 +34,7 @@ class ReferenceRenderer(Renderer):
         InputError: ``supersampling`` is not a whole number of at least 1.
     """
 
-    def __init__(self, supersampling: int = 1) -> None:
+    def __init__(self, supersampling: Count = 1) -> None:
         self.supersampling = check_supersampling(supersampling)
 
     def _render(

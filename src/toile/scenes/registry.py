@@ -16,9 +16,10 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from toile.errors import InputError
+from toile.limits import Count, CountOrZero, Finite, Fraction, Positive, Unit
 from toile.scenes.native import load_native
 from toile.scenes.phi_sft import load_phi_sft, load_phi_sft_template
 from toile.scenes.scene import Scene
@@ -92,13 +93,13 @@ def load_scene(
     name: str | Path,
     data_dir: Path | str | None = None,
     *,
-    n_frames: int | None = None,
-    crop_margin: int | None = 24,
-    minimum_component: float = 0.1,
+    n_frames: Annotated[Count, Unit("frames")] | None = None,
+    crop_margin: Annotated[CountOrZero, Unit("px")] | None = 24,
+    minimum_component: Fraction = 0.1,
     texture_coordinates: Texturing = from_file,
-    fps: float | None = None,
-    gravity: Sequence[float] | None = None,
-    held_vertices: Sequence[int] | None = None,
+    fps: Annotated[Positive, Unit("1/s")] | None = None,
+    gravity: Sequence[Annotated[Finite, Unit("m/s²")]] | None = None,
+    held_vertices: Sequence[CountOrZero] | None = None,
 ) -> Scene:
     """Load a scene by name ("R1", "a1cb40") or by the path of a native folder.
 

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from toile.errors import InputError
+from toile.limits import Count, Fraction, NonNegative
 from toile.training.distributions import directions, log_uniform, normal, uniform
 from toile.training.materials import require_range
 
@@ -43,11 +44,11 @@ class ForceSampler:
         turbulence_persistence: correlation of the turbulence between one step and the next.
     """
 
-    gravity: tuple[float, float]
-    wind: float
-    turbulence: float
-    turbulence_grid: int
-    turbulence_persistence: float
+    gravity: tuple[NonNegative, NonNegative]
+    wind: NonNegative
+    turbulence: NonNegative
+    turbulence_grid: Count
+    turbulence_persistence: Fraction
 
     def __post_init__(self) -> None:
         require_range("forces.gravity", self.gravity)

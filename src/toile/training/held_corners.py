@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from toile.errors import InputError
+from toile.limits import Fraction, NonNegative
 from toile.training.distributions import normal, uniform
 
 N_CORNERS = 4
@@ -28,10 +29,10 @@ class HeldCornerSampler:
         persistence: correlation of the velocities between one step and the next.
     """
 
-    shares: tuple[float, float, float, float]
-    speed: float
-    individual: float
-    persistence: float
+    shares: tuple[Fraction, Fraction, Fraction, Fraction]
+    speed: NonNegative
+    individual: NonNegative
+    persistence: Fraction
 
     def __post_init__(self) -> None:
         good = len(self.shares) == 4 and min(self.shares) >= 0 and abs(sum(self.shares) - 1) < 1e-6

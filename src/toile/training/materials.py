@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from toile.errors import InputError
+from toile.limits import Positive
 from toile.training.distributions import log_uniform
 
 
@@ -21,9 +22,9 @@ class MaterialRanges:
         bending: bounds of B.
     """
 
-    stretching: tuple[float, float]
-    shearing: tuple[float, float]
-    bending: tuple[float, float]
+    stretching: tuple[Positive, Positive]
+    shearing: tuple[Positive, Positive]
+    bending: tuple[Positive, Positive]
 
     def __post_init__(self) -> None:
         for field in fields(self):

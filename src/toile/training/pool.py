@@ -10,6 +10,7 @@ from torch import Tensor
 
 from toile.cloth.cloth import cell_shares
 from toile.errors import InputError
+from toile.limits import Count, Fraction, NonNegative
 from toile.simulators.implicit.integrators import BDF2, BackwardEuler
 from toile.simulators.linearizable import extrapolations
 from toile.simulators.surrogate.problem import StepProblem
@@ -40,15 +41,15 @@ class PoolSettings:
         noise_share: share of the problems with such noise.
     """
 
-    size: int
-    grid: tuple[int, int]
+    size: Count
+    grid: tuple[Count, Count]
     materials: MaterialRanges
     rest_shapes: RestShapeSampler
     forces: ForceSampler
     held_corners: HeldCornerSampler
-    bdf2_share: float
-    noise: float
-    noise_share: float
+    bdf2_share: Fraction
+    noise: NonNegative
+    noise_share: Fraction
 
     def __post_init__(self) -> None:
         if self.size < 1 or len(self.grid) != 2 or min(self.grid) < 3:

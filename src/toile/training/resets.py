@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import torch
 from torch import Tensor
 
+from toile.limits import Fraction, NonNegative, Positive, Unit
 from toile.training.distributions import uniform
 
 
@@ -37,10 +38,10 @@ class ResetRules:
         probability: of a reset for no reason, per step of a cloth (paper: "from time to time").
     """
 
-    residual: float
-    strain: float
-    extent: float
-    probability: float
+    residual: Positive
+    strain: NonNegative
+    extent: Annotated[Positive, Unit("edge lengths")]
+    probability: Fraction
 
     def apply(
         self,

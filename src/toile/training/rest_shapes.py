@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from toile.errors import InputError
+from toile.limits import NonNegative
 from toile.training.distributions import normal, rotations, uniform
 
 
@@ -37,7 +38,7 @@ class RestShapeSampler:
             between 0 and this. Templates scatter by 2 to 5 %.
     """
 
-    scatter: float
+    scatter: NonNegative
 
     def __post_init__(self) -> None:
         if not 0 <= self.scatter < 0.2:

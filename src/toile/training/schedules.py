@@ -9,6 +9,8 @@ import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
+from toile.limits import Count, CountOrZero, Fraction, NonNegative, Positive
+
 
 class LearningRate(ABC):
     """Learning rate over the steps."""
@@ -28,9 +30,9 @@ class Stairs(LearningRate):
         epochs: complete epochs before each stair.
     """
 
-    initial: float
-    factor: float
-    epochs: tuple[int, ...]
+    initial: Positive
+    factor: Positive
+    epochs: tuple[Count, ...]
 
     def at(self, step: int, steps_per_epoch: int, n_steps: int) -> float:
         """The rate of a step."""
@@ -48,10 +50,10 @@ class WarmCosine(LearningRate):
         final: rate of the last step / peak.
     """
 
-    peak: float
-    warm_up: int
-    hold: float
-    final: float
+    peak: Positive
+    warm_up: CountOrZero
+    hold: Fraction
+    final: NonNegative
 
     def at(self, step: int, steps_per_epoch: int, n_steps: int) -> float:
         """The rate of a step."""
@@ -72,9 +74,9 @@ class RolloutLength:
         share: of the run.
     """
 
-    first: int
-    last: int
-    share: float
+    first: Count
+    last: Count
+    share: Fraction
 
     def at(self, step: int, n_steps: int) -> int:
         """Longest age in a step."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from toile.errors import InputError
+from toile.limits import Count, Fraction, Positive
 from toile.training.pool import PoolSettings
 from toile.training.resets import ResetRules
 from toile.training.schedules import LearningRate, RolloutLength
@@ -31,15 +32,15 @@ class TrainingSettings:
         validation: after every epoch.
     """
 
-    widths: tuple[int, ...]
-    epochs: int
-    steps_per_epoch: int
-    batch_size: int
-    n_passes: int
+    widths: tuple[Count, ...]
+    epochs: Count
+    steps_per_epoch: Count
+    batch_size: Count
+    n_passes: Count
     learning_rate: LearningRate
-    adam_betas: tuple[float, float]
-    gradient_norm: float
-    average_decay: float
+    adam_betas: tuple[Fraction, Fraction]
+    gradient_norm: Positive
+    average_decay: Fraction
     rollout_length: RolloutLength | None
     pool: PoolSettings
     resets: ResetRules

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from toile.limits import Count, Seed
 from toile.simulators.surrogate.surrogate import Surrogate
 from toile.training.pool import Pool, PoolSettings
 from toile.training.resets import relative_residual
@@ -23,10 +24,10 @@ class ValidationSettings:
         seed: of the cloths and their forces.
     """
 
-    size: int
-    steps: int
-    n_passes: int
-    seed: int
+    size: Count
+    steps: Count
+    n_passes: Count
+    seed: Seed
 
 
 @torch.no_grad()

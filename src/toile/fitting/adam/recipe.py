@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, final
+from typing import Annotated, Any, final
 
 import torch
 from torch import Tensor
@@ -14,6 +14,7 @@ from toile.fitting.losses.force_regularization import ForceRegularization
 from toile.fitting.parameters import ClothParameters
 from toile.fitting.recipe import CycleReport, Recipe
 from toile.fitting.reconstruction import Reconstruction
+from toile.limits import Count, NonNegative, Positive, TwoOrMore, Unit
 from toile.simulators.base import SimulationError
 from toile.simulators.rollout import Rollout
 
@@ -62,12 +63,12 @@ class SuccessiveFramesAdam(Recipe):
     def __init__(
         self,
         losses: Mapping[str, Loss | None],
-        learning_rates: Mapping[str, float | None],
-        minimum: Mapping[str, float],
-        cycles: int,
-        first_frames: int | None,
-        cycles_per_frame: int,
-        frames_per_render: int,
+        learning_rates: Mapping[str, NonNegative | None],
+        minimum: Mapping[str, Positive],
+        cycles: Count,
+        first_frames: Annotated[TwoOrMore, Unit("frames")] | None,
+        cycles_per_frame: Count,
+        frames_per_render: Count,
     ) -> None:
         self.losses = {name: loss for name, loss in losses.items() if loss is not None}
         self.learning_rates = {name: rate for name, rate in learning_rates.items() if rate is not None}

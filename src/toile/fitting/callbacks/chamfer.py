@@ -15,6 +15,7 @@ from toile.evaluation.chamfer import CHAMFER_SCALE, chamfer_distance
 from toile.evaluation.target_points import known_frames, target_points
 from toile.fitting.callbacks.tensorboard import spread_frames
 from toile.fitting.module import FitModule
+from toile.limits import Count, Seed
 
 CHAMFER_TAG = "accuracy/chamfer_x1e4_m2"
 """Of the curve in TensorBoard."""
@@ -36,7 +37,7 @@ class ChamferLogger(Callback):
         seed: of the samples on the surfaces.
     """
 
-    def __init__(self, file: str | Path, every: int, frames: int | None, seed: int) -> None:
+    def __init__(self, file: str | Path, every: Count, frames: Count | None, seed: Seed) -> None:
         if every < 1:
             raise ValueError(f"every: expected at least 1 cycle, got {every}")
         self.file = Path(file)

@@ -8,6 +8,7 @@ from typing import Any, final
 from lightning import Callback, LightningModule, Trainer
 
 from toile.atomic_file import written_atomically
+from toile.limits import Count
 
 
 @final
@@ -23,7 +24,7 @@ class CycleCheckpoint(Callback):
 
     NAME = "last.ckpt"
 
-    def __init__(self, folder: str | Path, every: int) -> None:
+    def __init__(self, folder: str | Path, every: Count) -> None:
         if every < 1:
             raise ValueError(f"every: expected at least 1 cycle, got {every}")
         self.path = Path(folder) / self.NAME

@@ -17,6 +17,7 @@ from rich.progress import (
 
 from toile.fitting.module import FitModule
 from toile.fitting.parameters import ClothParameters
+from toile.limits import Count
 
 log = logging.getLogger(__name__)
 
@@ -29,7 +30,7 @@ class FitProgress(Callback):
         log_every: cycles between two log lines.
     """
 
-    def __init__(self, log_every: int) -> None:
+    def __init__(self, log_every: Count) -> None:
         self.log_every = log_every
         self._console = Console(stderr=True)
         self._bar: Progress | None = None

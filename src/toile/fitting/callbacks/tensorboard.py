@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, final
+from typing import Annotated, Any, final
 
 import matplotlib as mpl
 import torch
@@ -15,6 +15,7 @@ from toile.evaluation.target_points import known_frames, target_points
 from toile.evaluation.vertices import vertex_distances
 from toile.fitting.module import FitModule
 from toile.fitting.reconstruction import Reconstruction
+from toile.limits import Count, Positive, Unit
 from toile.scenes.scene import GroundTruth
 
 PICTURES = "observed, rendered, difference, silhouettes (grey both, orange observed, blue rendered)"
@@ -51,7 +52,7 @@ class PictureLogger(Callback):
         error_scale: distance to the ground truth [mm] at the bright end of the mesh's colours.
     """
 
-    def __init__(self, every: int, frames: int, error_scale: float) -> None:
+    def __init__(self, every: Count, frames: Count, error_scale: Annotated[Positive, Unit("mm")]) -> None:
         self.every = every
         self.frames = frames
         self.error_scale = error_scale

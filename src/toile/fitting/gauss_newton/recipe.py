@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import torch
@@ -26,6 +26,7 @@ from toile.fitting.reconstruction import Reconstruction
 from toile.fitting.terms.image_features import contrast_features
 from toile.fitting.terms.texture_points import PointTermSettings, TexturePoints, TexturePointTerm, grid_points
 from toile.fitting.terms.tracked_positions import PositionTermSettings, TrackedPositionTerm
+from toile.limits import Count, Positive, Unit
 from toile.rendering.visibility import visible_points
 
 Array = NDArray[np.float64]
@@ -48,7 +49,12 @@ class SlidingWindows(Windows):
         repeats: how often the clip is gone through.
     """
 
-    def __init__(self, lag: int | None, stride: int | None, repeats: int) -> None:
+    def __init__(
+        self,
+        lag: Annotated[Count, Unit("frames")] | None,
+        stride: Annotated[Count, Unit("frames")] | None,
+        repeats: Count,
+    ) -> None:
         self.lag = lag
         self.stride = stride
         self.repeats = repeats
@@ -69,7 +75,12 @@ class GrowingWindows(Windows):
         repeats: how often the whole clip is treated at the end.
     """
 
-    def __init__(self, start: int, stride: int, repeats: int) -> None:
+    def __init__(
+        self,
+        start: Annotated[Count, Unit("frames")],
+        stride: Annotated[Count, Unit("frames")],
+        repeats: Count,
+    ) -> None:
         self.start = start
         self.stride = stride
         self.repeats = repeats
@@ -99,9 +110,9 @@ class Stage:
     windows: Windows
     term: PointTermSettings | PositionTermSettings
     priors: Priors
-    iterations: int
-    cg_iterations: int
-    cg_tolerance: float
+    iterations: Count
+    cg_iterations: Count
+    cg_tolerance: Positive
     visibility: bool
     settle: bool
     discard_turbulence: bool

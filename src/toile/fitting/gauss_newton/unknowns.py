@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 import torch
@@ -16,6 +17,7 @@ from toile.fitting.gauss_newton.conjugate_gradients import Vector
 from toile.fitting.parameters import ClothParameters
 from toile.fitting.priors import SmoothField, SmoothSeries
 from toile.fitting.reconstruction import Reconstruction
+from toile.limits import NonNegative, Positive, Unit
 from toile.simulators.base import Simulator
 from toile.simulators.implicit.linearized import Perturbation
 
@@ -39,15 +41,15 @@ class Priors:
         effects: of the numbers of the effects around their start values, in units of each one's scale.
     """
 
-    turbulence: float | None
-    turbulence_time: float
-    turbulence_space: float
-    anchor_motion: float | None
-    anchor_motion_time: float
-    stiffness: float | None
-    wind: float | None
+    turbulence: Annotated[Positive, Unit("m/s²")] | None
+    turbulence_time: Annotated[NonNegative, Unit("frames")]
+    turbulence_space: Annotated[NonNegative, Unit("vertices")]
+    anchor_motion: Annotated[Positive, Unit("m")] | None
+    anchor_motion_time: Annotated[NonNegative, Unit("frames")]
+    stiffness: Annotated[Positive, Unit("of the logarithm")] | None
+    wind: Annotated[Positive, Unit("m/s²")] | None
     walk: bool
-    effects: float | None = None
+    effects: Annotated[Positive, Unit("of the scales")] | None = None
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from toile.errors import InputError
+from toile.limits import NonNegative
 
 Reduction = Literal["sum", "mean"]
 
@@ -33,7 +34,9 @@ class ForceRegularization:
         InputError: another reduction.
     """
 
-    def __init__(self, alpha: float, beta: float, gamma: float, reduction: Reduction) -> None:
+    def __init__(
+        self, alpha: NonNegative, beta: NonNegative, gamma: NonNegative, reduction: Reduction
+    ) -> None:
         if reduction not in ("sum", "mean"):
             raise InputError(
                 "Unknown convention of the force regularisation",

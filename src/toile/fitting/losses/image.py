@@ -7,6 +7,7 @@ from typing import final
 from torch import Tensor
 
 from toile.fitting.losses.base import VideoLoss
+from toile.limits import NonNegative
 from toile.rendering.base import RenderedImages
 
 
@@ -21,7 +22,7 @@ class ImageLoss(VideoLoss):
         weight: factor on the term; 1 in the paper.
     """
 
-    def __init__(self, weight: float) -> None:
+    def __init__(self, weight: NonNegative) -> None:
         self.weight = weight
 
     def __call__(self, rendered: RenderedImages, frames: Tensor, masks: Tensor) -> Tensor:

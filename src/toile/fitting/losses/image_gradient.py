@@ -8,6 +8,7 @@ from kornia.filters import spatial_gradient
 from torch import Tensor
 
 from toile.fitting.losses.base import VideoLoss
+from toile.limits import NonNegative
 from toile.rendering.base import RenderedImages
 
 
@@ -23,7 +24,7 @@ class ImageGradientLoss(VideoLoss):
         weight: factor on the term.
     """
 
-    def __init__(self, weight: float) -> None:
+    def __init__(self, weight: NonNegative) -> None:
         self.weight = weight
 
     def __call__(self, rendered: RenderedImages, frames: Tensor, masks: Tensor) -> Tensor:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import final
+from typing import Annotated, final
 
 from kornia.filters import gaussian_blur2d
 from torch import Tensor
 
 from toile.fitting.losses.base import VideoLoss
+from toile.limits import NonNegative, Positive, Unit
 from toile.rendering.base import RenderedImages
 
 _CUTOFF = 3.0  # standard deviations at which the kernel ends
@@ -24,7 +25,7 @@ class SilhouetteLoss(VideoLoss):
         weight: factor on the term; 1 in the paper.
     """
 
-    def __init__(self, sigma: float, weight: float) -> None:
+    def __init__(self, sigma: Annotated[Positive, Unit("px")], weight: NonNegative) -> None:
         self.sigma = sigma
         self.weight = weight
 

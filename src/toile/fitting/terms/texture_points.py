@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import torch
@@ -23,6 +24,7 @@ from toile.fitting.reconstruction import Reconstruction
 from toile.fitting.terms.reference_image import first_frame
 from toile.fitting.terms.texture_point_kernels import apply_matrices, point_term, sample_features
 from toile.geometry.camera import Camera
+from toile.limits import NonNegative, Positive, TwoOrMore, Unit
 from toile.warp_runtime import start_warp, view
 
 Array = NDArray[np.float64]
@@ -106,12 +108,12 @@ class PointTermSettings:
         reference: the picture (h, w, 3) of frame 0 that the points take their colours from.
     """
 
-    per_side: int
-    blur: float
-    neighbourhood: float | None
-    colour_weight: float
-    mask_weight: float
-    colour_scale: float = 0.1
+    per_side: Annotated[TwoOrMore, Unit("points")]
+    blur: Annotated[NonNegative, Unit("px")]
+    neighbourhood: Annotated[Positive, Unit("px")] | None
+    colour_weight: NonNegative
+    mask_weight: NonNegative
+    colour_scale: Positive = 0.1
     reference: Callable[[Reconstruction], Tensor] = first_frame
 
 

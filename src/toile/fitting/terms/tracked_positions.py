@@ -8,11 +8,13 @@ start values that are wrong by large factors.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from toile.fitting.terms.texture_points import PointTermValue
+from toile.limits import Positive, Unit
 
 Array = NDArray[np.float64]
 
@@ -25,7 +27,7 @@ class PositionTermSettings:
         deviation: standard deviation of a tracked coordinate, averaged over the vertices [m].
     """
 
-    deviation: float
+    deviation: Annotated[Positive, Unit("m")]
 
 
 class TrackedPositionTerm:

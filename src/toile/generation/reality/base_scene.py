@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import final
+from typing import Annotated, final
 
 import numpy as np
 import torch
@@ -16,6 +16,7 @@ from toile.generation.motion import HeldMotion
 from toile.generation.settings import GeneratorSettings
 from toile.generation.textures import procedural_texture
 from toile.geometry.mesh import grid_faces
+from toile.limits import Count, Fraction, Positive, TwoOrMore, Unit
 from toile.scenes.registry import load_template
 from toile.scenes.template import Template
 
@@ -46,21 +47,21 @@ class RealitySettings:
         newton_tolerance: see NewtonSettings.
     """
 
-    grid: tuple[int, int] = (20, 20)
-    refinement: int = 2
-    substeps: int = 8
-    coarse_substeps: int = 5
-    largest_grid_share: float = 1.5
-    n_frames: int = 40
-    fps: float = 25.0
-    image_side: int = 400
+    grid: tuple[TwoOrMore, TwoOrMore] = (20, 20)
+    refinement: Count = 2
+    substeps: Count = 8
+    coarse_substeps: Count = 5
+    largest_grid_share: Annotated[Positive, Unit("% of the width")] = 1.5
+    n_frames: Annotated[TwoOrMore, Unit("frames")] = 40
+    fps: Annotated[Positive, Unit("1/s")] = 25.0
+    image_side: Annotated[Count, Unit("px")] = 400
     templates: tuple[str, ...] = ()
-    template_share: float = 0.5
+    template_share: Fraction = 0.5
     data: Path | str | None = None
-    texture_side: int = 700
-    supersampling: int = 2
-    blur_samples: int = 7
-    newton_tolerance: float = 1e-5
+    texture_side: Annotated[Count, Unit("px")] = 700
+    supersampling: Count = 2
+    blur_samples: Count = 7
+    newton_tolerance: Positive = 1e-5
 
 
 @final

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from toile.geometry.camera import Camera
+from toile.limits import Count
 from toile.rendering.base import (
     Fragments,
     RenderedImages,
@@ -38,7 +39,7 @@ class WarpRenderer(Renderer):
         InputError: ``supersampling`` is not a whole number of at least 1.
     """
 
-    def __init__(self, supersampling: int = 1) -> None:
+    def __init__(self, supersampling: Count = 1) -> None:
         self.supersampling = check_supersampling(supersampling)
         start_warp()
         # The topology of the last mesh, keyed by its content: a fit renders the same faces every time.

@@ -9,6 +9,7 @@ import numpy.typing as npt
 import torch
 
 from toile.errors import InputError
+from toile.limits import Fraction
 from toile.scenes.masks import bounding_box, drop_small_components
 
 Mask = npt.NDArray[np.bool_]
@@ -25,8 +26,8 @@ class Cleaning:
         largest_hole: fraction of the mask's area up to which a hole is filled; 0 fills none, 1 all.
     """
 
-    minimum_component: float = 0.1
-    largest_hole: float = 1.0
+    minimum_component: Fraction = 0.1
+    largest_hole: Fraction = 1.0
 
     def __post_init__(self) -> None:
         """Check the two fractions."""

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from toile.errors import InputError
+from toile.limits import Level
 from toile.scenes.segmentation.base import Segmentation, Segmented
 from toile.scenes.segmentation.cleaning import Cleaning, Mask
 from toile.scenes.video import Frame
@@ -23,7 +24,7 @@ class DarkBackground(Segmentation):
     """
 
     def __init__(
-        self, cleaning: Cleaning, threshold: int = 16, background: Sequence[int] = (0, 0, 0)
+        self, cleaning: Cleaning, threshold: Level = 16, background: Sequence[Level] = (0, 0, 0)
     ) -> None:
         super().__init__(cleaning)
         if not 0 <= threshold <= 255:

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from toile.errors import InputError
+from toile.limits import Level
 from toile.scenes.images import read_mask
 from toile.scenes.segmentation.base import Segmentation, Segmented
 from toile.scenes.segmentation.cleaning import Cleaning, Mask
@@ -24,7 +25,7 @@ class Given(Segmentation):
         InputError: no such folder.
     """
 
-    def __init__(self, cleaning: Cleaning, folder: Path | str, threshold: int = 127) -> None:
+    def __init__(self, cleaning: Cleaning, folder: Path | str, threshold: Level = 127) -> None:
         super().__init__(cleaning)
         self.folder = Path(folder)
         self.threshold = threshold

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
 
 from toile.errors import InputError
+from toile.limits import Count, NonNegative, Positive, Unit
 from toile.scenes.segmentation.base import Segmentation, Segmented
 from toile.scenes.segmentation.cleaning import Cleaning, Mask
 from toile.scenes.video import Frame
@@ -44,11 +46,11 @@ class GrabCut(Segmentation):
         cleaning: Cleaning,
         box: Sequence[float] | None = None,
         polygon: Sequence[Sequence[float]] | None = None,
-        band: float = 0.02,
-        first_band: float = 0.05,
-        margin: float = 0.25,
-        first_iterations: int = 5,
-        iterations: int = 2,
+        band: Annotated[Positive, Unit("of the box")] = 0.02,
+        first_band: Positive = 0.05,
+        margin: NonNegative = 0.25,
+        first_iterations: Count = 5,
+        iterations: Count = 2,
     ) -> None:
         super().__init__(cleaning)
         if (box is None) == (polygon is None):

@@ -9,6 +9,7 @@ import numpy as np
 
 from toile.errors import InputError
 from toile.geometry.surface import Floats
+from toile.limits import Positive
 
 
 @dataclass(frozen=True)
@@ -23,7 +24,7 @@ class Axes:
 
     rotation: Sequence[Sequence[float]]
     translation: Sequence[float]
-    scale: float
+    scale: Positive
 
     def to_camera(self, points: Floats) -> Floats:
         """Positions (N, 3) of the file in the OpenCV camera frame [m].

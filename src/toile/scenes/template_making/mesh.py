@@ -15,6 +15,7 @@ from toile.geometry.surface import (
     nearest_points,
     triangle_mesh,
 )
+from toile.limits import Fraction
 from toile.scenes.template_making.axes import Axes
 from toile.scenes.template_making.gridding import grid_on_disc
 from toile.scenes.template_making.still import Still
@@ -33,7 +34,7 @@ class MeshSurface:
 
     file: str | Path
     axes: Axes
-    minimum_inside: float
+    minimum_inside: Fraction
 
     def lay_grid(self, still: Still, layout: Layout) -> SurfaceGrid:
         """Lay a grid on the mesh, its border on the mesh's border; see Surface."""

@@ -14,6 +14,7 @@ from toile.geometry.mesh import grid_faces
 from toile.geometry.point_cloud import largest_cluster, require_enough, seen_surface, smooth_depth
 from toile.geometry.quadrilateral import smooth_side
 from toile.geometry.surface import Floats, border_of_disc, nearest_points
+from toile.limits import Count, Fraction, NonNegative
 from toile.scenes.masks import outline_of
 from toile.scenes.template_making.axes import Axes
 from toile.scenes.template_making.gridding import grid_on_disc
@@ -41,9 +42,9 @@ class PointsSurface:
 
     file: str | Path
     axes: Axes
-    smoothing: float
-    minimum_cover: float
-    side_degree: int
+    smoothing: NonNegative
+    minimum_cover: Fraction
+    side_degree: Count
 
     def lay_grid(self, still: Still, layout: Layout) -> SurfaceGrid:
         """Lay a grid on the surface that the points inside the mask show; see Surface."""

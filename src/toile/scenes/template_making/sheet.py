@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from toile.errors import InputError
 from toile.geometry.quadrilateral import four_corners, named_corners
 from toile.geometry.rectangle_pose import rectangle_grid, rectangle_pose
+from toile.limits import Positive, Unit
 from toile.scenes.masks import outline_of
 from toile.scenes.template_making.still import Still
 from toile.scenes.template_making.surface import Layout, SurfaceGrid, require_clockwise
@@ -23,7 +25,7 @@ class SheetSurface:
             above which the mask cannot be that of such a rectangle.
     """
 
-    maximum_error: float
+    maximum_error: Annotated[Positive, Unit("px")]
 
     def lay_grid(self, still: Still, layout: Layout) -> SurfaceGrid:
         """Put a flat grid where the corners are seen; see Surface."""

@@ -13,6 +13,7 @@ from torch import Tensor
 from toile.cloth.cloth import Cloth
 from toile.cloth.material import Material
 from toile.cloth.state import State
+from toile.limits import CountOrZero, Positive
 from toile.simulators.base import Simulator, StepStatus
 from toile.simulators.implicit.integrators import Integrator
 from toile.simulators.implicit.newton import NewtonSettings, StepSolution, minimise_incremental_potential
@@ -56,10 +57,10 @@ class HybridSimulator(LinearizableSimulator):
         time_step: float | Tensor,
         integrator: Integrator,
         predictor: Callable[[Cloth, float], Simulator] | None,
-        corrections: int = 2,
-        tolerance: float = 1e-4,
-        max_halvings: int = 12,
-        largest_residual: float | None = None,
+        corrections: CountOrZero = 2,
+        tolerance: Positive = 1e-4,
+        max_halvings: CountOrZero = 12,
+        largest_residual: Positive | None = None,
         fresh_linearization: bool = True,
         terms: Sequence[StepTerm] = (),
     ) -> None:

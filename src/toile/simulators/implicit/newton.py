@@ -27,6 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from toile.limits import Count, CountOrZero, Positive
 from toile.simulators.base import StepStatus
 from toile.simulators.implicit.assembly import Assembly
 from toile.simulators.implicit.banded import BandedCholesky
@@ -59,9 +60,9 @@ class NewtonSettings:
         max_halvings: step halvings of the back-tracking line search.
     """
 
-    tolerance: float = 1e-6
-    max_iterations: int = 60
-    max_halvings: int = 12
+    tolerance: Positive = 1e-6
+    max_iterations: Count = 60
+    max_halvings: CountOrZero = 12
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from toile.cloth.material import Material
 from toile.cloth.state import State
 from toile.cloth.units import NetworkUnits
 from toile.errors import InputError
+from toile.limits import Count, CountOrZero
 from toile.simulators.base import StepStatus
 from toile.simulators.implicit.integrators import Integrator
 from toile.simulators.implicit.newton import Linearization, StepSolution, linearise
@@ -55,8 +56,8 @@ class SurrogateSimulator(LinearizableSimulator):
         cloth: Cloth,
         time_step: float | Tensor,
         integrator: Integrator,
-        passes: int,
-        sweeps: int = 2,
+        passes: Count,
+        sweeps: CountOrZero = 2,
         weights: str | Path | None = None,
         terms: Sequence[StepTerm] = (),
     ) -> None:

@@ -9,6 +9,7 @@ from typing import Any, final
 from lightning import Callback, LightningModule, Trainer
 
 from toile.atomic_file import written_atomically
+from toile.limits import Count
 from toile.training.module import SurrogateTraining
 
 
@@ -26,7 +27,7 @@ class StepCheckpoint(Callback):
 
     NAME = "last.ckpt"
 
-    def __init__(self, folder: str | Path, every: int) -> None:
+    def __init__(self, folder: str | Path, every: Count) -> None:
         if every < 1:
             raise ValueError(f"every: expected at least 1 step, got {every}")
         self.path = Path(folder) / self.NAME

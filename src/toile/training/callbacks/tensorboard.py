@@ -8,6 +8,7 @@ import torch
 from lightning import Callback, LightningModule, Trainer
 from lightning.pytorch.loggers import TensorBoardLogger
 
+from toile.limits import Count
 from toile.training.module import SurrogateTraining
 from toile.training.pictures import pixels, pool_picture, residual_curve
 from toile.training.states import ClothStates
@@ -38,7 +39,7 @@ class CurveLogger(Callback):
         every: steps between two points of a curve.
     """
 
-    def __init__(self, every: int) -> None:
+    def __init__(self, every: Count) -> None:
         self.every = every
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
@@ -70,7 +71,7 @@ class PictureLogger(Callback):
         cloths: number of cloths to draw.
     """
 
-    def __init__(self, cloths: int) -> None:
+    def __init__(self, cloths: Count) -> None:
         self.cloths = cloths
 
     def on_train_batch_end(
