@@ -33,8 +33,8 @@ from toile.diagnosis.template_tension import template_tension
 from toile.diagnosis.tracked import Tracked
 from toile.diagnosis.workers import ALONE, Workers
 from toile.effects.base import CameraEffect, Effect, Surroundings
-from toile.fitting.gauss_newton.unknowns import horizontal_basis
 from toile.geometry.camera import Camera
+from toile.geometry.horizontal import horizontal_axes
 from toile.scenes.scene import Scene
 from toile.simulators.implicit.integrators import BDF2
 from toile.simulators.implicit.newton import NewtonSettings
@@ -101,7 +101,7 @@ def analyse_mechanics(
     fit: BaseFit | None = None
     for grid, tracked in levels:
         last = grid is levels[-1][0]
-        horizontal = horizontal_basis(gravity)
+        horizontal = horizontal_axes(torch.from_numpy(gravity)).numpy()
         tension = template_tension(grid.cloth, tracked.positions[0], gravity, horizontal)
         simulator = ImplicitSimulator(
             grid.cloth, 1 / scene.fps / substeps, BDF2(), NewtonSettings(_TOLERANCE), (tension,)

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from toile.effects.base import ForceEffect, Parameter, Stage, Surroundings
-from toile.effects.horizontal import horizontal_axes
+from toile.geometry.horizontal import horizontal_axes
 
 
 class GravityTilt(ForceEffect):

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from toile.effects.base import ForceEffect, Parameter, Stage, Surroundings
-from toile.effects.horizontal import horizontal_axes
 from toile.errors import InputError
+from toile.geometry.horizontal import horizontal_axes
 from toile.limits import Count
 
 

@@ -243,7 +243,7 @@ def evaluate(
     else:
         error = vertex_error(x, true_vertices).numpy()
         add("vertex_error", "Vertex error", "mm", VERTEX_PROTOCOL, METRES_TO_MILLIMETRES * error)
-        percent = 100.0 * error / scene.cloth_size[1]
+        percent = 100.0 * error / scene.cloth_size[0]
         add("vertex_error_percent", "Vertex error / cloth width", "%", VERTEX_PERCENT_PROTOCOL, percent)
 
     if true_vertices is not None:

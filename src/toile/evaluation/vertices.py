@@ -11,7 +11,7 @@ VERTEX_PROTOCOL = (
     "unaligned; mean over all vertices and frames including frame 0"
 )
 VERTEX_PERCENT_PROTOCOL = (
-    "the mean vertex distance in percent of the cloth's width (rest length along grid axis 1)"
+    "the mean vertex distance in percent of the cloth's width (rest length along grid axis 0, its upper side)"
 )
 
 

@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -69,6 +70,18 @@ def test_vertex_scene_has_vertex_metrics_and_chamfer_of_the_true_mesh(
     assert result.mean("normal_error") == pytest.approx(0.0, abs=1e-9)
     assert result.mean("chamfer") == pytest.approx(2.0, rel=0.05)
     assert "samples of the true mesh" in result.metrics["chamfer"].protocol
+
+
+def test_the_width_is_the_upper_side(make_scene: MakeScene) -> None:
+    """Axis 0 runs along it, also where the cloth is not square."""
+    square = make_scene(vertices=still(make_scene()))
+    scene = replace(square, cloth_size=(0.9, 0.3))
+    moved = still(scene)
+    moved[..., 2] += 0.000771
+    result = evaluate(moved, scene)
+    assert result.mean("vertex_error") == pytest.approx(0.771)
+    assert result.mean("vertex_error_percent") == pytest.approx(100 * 0.000771 / 0.9)
+    assert "axis 0" in result.metrics["vertex_error_percent"].protocol
 
 
 def test_samples_of_truth_and_reconstruction_are_independent(make_scene: MakeScene) -> None:

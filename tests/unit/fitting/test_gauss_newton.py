@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -181,6 +183,45 @@ def test_stiffness_and_wind_from_exact_positions(problem: Reconstruction, simula
     assert p.stretching.item() == pytest.approx(3000.0, rel=1e-4)
     assert p.shearing.item() == pytest.approx(10.0, rel=1e-4)
     assert p.bending.item() == pytest.approx(0.5, rel=1e-4)
+
+
+def test_a_clip_filmed_upright_gives_the_rolled_answer(problem: Reconstruction) -> None:
+    """Gravity along the image's x axis: stiffness and wind are found from positions as in the level clip."""
+    roll = torch.tensor([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], dtype=torch.float64)
+    scene = replace(
+        problem.scene, template=problem.scene.template @ roll.T, gravity=roll @ problem.scene.gravity
+    )
+    assert float(scene.gravity[0].abs()) > 9
+    wind = torch.tensor([0.5, 0.0, 2.0], dtype=torch.float64)
+    start = np.array([2000.0, 15.0, 0.8])
+    found = []
+    for clip, rotated in ((problem.scene, torch.eye(3, dtype=torch.float64)), (scene, roll)):
+        p = copy.deepcopy(problem.parameters)
+        upright = Reconstruction(
+            clip,
+            problem.cloth,
+            lambda cloth, step: ImplicitSimulator(cloth, step, BDF2(), NewtonSettings()),
+            problem.substeps,
+            p,
+            problem.renderer,
+        )
+        with torch.no_grad():
+            p.wind.copy_(rotated @ wind)
+            tracked = upright.simulate(clip.n_frames).positions[0].numpy()
+            p.wind.zero_()
+            for name, value in zip(p.STIFFNESSES, start, strict=True):
+                p.get_parameter(name).fill_(value)
+        unknowns = WindowUnknowns(upright, PARAMETERS, start, 0, clip.n_frames - 1)
+        term = TrackedPositionTerm(tracked, PositionTermSettings(1e-4))
+        at = state_at(upright, None, 0)
+        minimise_window(
+            upright, unknowns, term, None, at, None, iterations=2, cg_iterations=50, cg_tolerance=1e-8
+        )
+        stiffness = [p.get_parameter(name).item() for name in p.STIFFNESSES]
+        found.append((rotated.T @ p.wind.detach(), torch.tensor(stiffness)))
+    assert float(found[0][0].norm()) > 0.5
+    torch.testing.assert_close(found[1][0], found[0][0], rtol=1e-5, atol=1e-5)
+    torch.testing.assert_close(found[1][1], found[0][1], rtol=1e-4, atol=0)
 
 
 def test_a_simulator_without_derivatives_of_its_steps_is_told(problem: Reconstruction) -> None:

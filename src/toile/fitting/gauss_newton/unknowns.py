@@ -17,6 +17,7 @@ from toile.fitting.gauss_newton.conjugate_gradients import Vector
 from toile.fitting.parameters import ClothParameters
 from toile.fitting.priors import SmoothField, SmoothSeries
 from toile.fitting.reconstruction import Reconstruction
+from toile.geometry.horizontal import horizontal_axes
 from toile.limits import NonNegative, Positive, Unit
 from toile.simulators.base import Simulator
 from toile.simulators.implicit.linearized import Perturbation
@@ -109,7 +110,10 @@ class WindowUnknowns:
         self._interior_mass = units.mass
         self._stiffness_units = np.array([units.stretching, units.energy, units.energy])
         gravity = reconstruction.gravity.numpy()
-        self._horizontal = horizontal_basis(gravity)
+        # Only a free wind needs them, and where there is no gravity nothing is horizontal.
+        self._horizontal = (
+            np.zeros((2, 3)) if priors.wind is None else horizontal_axes(reconstruction.gravity).numpy()
+        )
         self._gravity = gravity
         self._field = (
             None
@@ -409,13 +413,3 @@ def jacobian_columns(outputs: Tensor, values: Tensor) -> Tensor:
             (found,) = torch.autograd.grad(product, dummy, retain_graph=True, materialize_grads=True)
             column.copy_(found)
     return columns
-
-
-def horizontal_basis(gravity: Array) -> Array:
-    """Two unit vectors orthogonal to gravity, (2, 3)."""
-    down = gravity / np.linalg.norm(gravity)
-    # The camera's x and z axes, made orthogonal to gravity: signs stay readable for upright cameras.
-    right = np.array([1.0, 0.0, 0.0]) - down[0] * down
-    right /= np.linalg.norm(right)
-    forward = np.cross(right, down)
-    return np.stack((right, forward))

@@ -9,7 +9,8 @@ import torch
 from torch import Tensor
 
 from toile.effects.base import Stage
-from toile.generation.reality.interface import RealityEffect, Rng, horizontal_axes, pulse
+from toile.generation.reality.interface import RealityEffect, Rng, pulse
+from toile.geometry.horizontal import horizontal_axes
 from toile.simulators.step_terms import StepContext
 
 

@@ -192,12 +192,3 @@ def pulse(times: Tensor, begin: float, end: float, ramp: float) -> Tensor:
 def unit(vector: Array) -> Tensor:
     """Unit vector (3,), float64."""
     return torch.from_numpy(np.asarray(vector, np.float64) / np.linalg.norm(vector))
-
-
-def horizontal_axes(gravity: Tensor) -> tuple[Tensor, Tensor]:
-    """Two unit vectors (3,) across gravity: to the right and away from the camera."""
-    down = gravity / gravity.norm()
-    right = torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64)
-    right = right - (right @ down) * down
-    right = right / right.norm()
-    return right, torch.linalg.cross(right, down)

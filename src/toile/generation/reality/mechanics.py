@@ -13,9 +13,9 @@ from toile.effects.base import Stage
 from toile.generation.reality.interface import (
     RealityEffect,
     Rng,
-    horizontal_axes,
     places_of,
 )
+from toile.geometry.horizontal import horizontal_axes
 from toile.simulators.step_terms import Elements, StepContext
 
 
