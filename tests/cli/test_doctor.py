@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import torch
+
+from toile.scenes.native import write_native
+from toile.scenes.scene import Scene
 
 
 def change(scene_folder: Path, key: str, value: object) -> None:
@@ -57,6 +62,36 @@ def test_wrong_values(toile, scene_folder: Path, key, value, named) -> None:
     assert status == 2
     assert "errors: 0" not in out
     assert named in out
+
+
+def test_what_a_fit_cannot_do_is_an_error(toile, tiny_scene: Scene, tmp_path: Path) -> None:
+    """Each of them is loaded without a word by commands that need no fit."""
+    H, W = tiny_scene.grid
+    folded = tiny_scene.template.clone()
+    folded[2, 2] = folded[2, 3]
+    white = torch.ones_like(tiny_scene.masks)
+    near, far = (replace(tiny_scene.camera, fx=110.0 * zoom, fy=105.0 * zoom) for zoom in (2, 10))
+    right = (white.cumsum(2) > 20).to(white.dtype)
+    wrong = {
+        "All vertices are held": replace(tiny_scene, held_vertices=tuple(range(H * W))),
+        "frame rate": replace(tiny_scene, fps=1e9),
+        "far too strong": replace(tiny_scene, gravity=1000 * tiny_scene.gravity),
+        "coincide": replace(tiny_scene, template=folded, ground_truth=None),
+        "white all over": replace(tiny_scene, masks=white, camera=near),
+        "vertices inside mask 0": replace(tiny_scene, masks=right, camera=far),
+    }
+    for words, scene in wrong.items():
+        write_native(scene, tmp_path / "data" / "made" / "wrong", overwrite=True)
+        status, out, _ = toile("doctor", "scene=wrong")
+        assert status == 2, words
+        assert words in " ".join(out.replace("│", " ").split()), words
+
+
+def test_one_frame_is_too_few(toile, scene_folder: Path) -> None:
+    change(scene_folder, "n_frames", 1)
+    status, out, _ = toile("doctor", "scene=tiny")
+    assert status == 2
+    assert "Too few frames" in " ".join(out.replace("│", " ").split())
 
 
 def test_all_errors_at_once(toile, scene_folder: Path) -> None:

@@ -173,6 +173,92 @@ def test_the_same_command_continues_its_folder(
     assert "loss.silhouette.sigma: 5 instead of 7.0" in outcome.err
 
 
+@pytest.mark.usefixtures("swaying")
+def test_a_refused_resume_leaves_the_run_as_it_was(
+    toile: Toile, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Hydra rewrites its own record before anybody can refuse; the run's stays."""
+    assert toile(*PAPER, *QUICK, "hydra.run.dir=whole").status == 0
+    with monkeypatch.context() as patch:
+        interrupt_at(3, patch)
+        assert toile(*PAPER, *QUICK, "hydra.run.dir=run").status == 130
+    refused = toile("fit", "resume=run", "seed=4")
+    assert refused.status == 2
+    assert "seed: 4 instead of 0" in refused.err
+    # The same in its own words.
+    assert toile(*PAPER, *QUICK, "seed=5", "hydra.run.dir=run").status == 2
+    # One that was interrupted before it had a record of its own.
+    shutil.copytree(tmp_path / "run", tmp_path / "old")
+    outcome = toile("fit", "resume=run")
+    assert outcome.status == 0, outcome.err
+    assert identical(RunFolder(tmp_path / "run"), RunFolder(tmp_path / "whole"))
+
+
+@pytest.mark.usefixtures("swaying")
+def test_runs_of_older_versions_are_continued_from_hydras_record(
+    toile: Toile, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patch:
+        interrupt_at(3, patch)
+        assert toile(*PAPER, *QUICK, "hydra.run.dir=run").status == 130
+    RunFolder(tmp_path / "run").overrides.unlink()
+    assert toile("fit", "resume=run").status == 0
+
+
+@pytest.mark.usefixtures("swaying")
+def test_stopped_before_the_first_cycle_there_is_nothing_to_continue(
+    toile: Toile, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patch:
+        interrupt_at(0, patch)
+        outcome = toile(*PAPER, *QUICK, "hydra.run.dir=run")
+    assert outcome.status == 130
+    assert "nothing to continue" in outcome.out
+    assert "resume=" not in outcome.out
+    assert not RunFolder(tmp_path / "run").trajectory.exists()
+    assert toile(*PAPER, *QUICK, "hydra.run.dir=run").status == 0
+
+
+def test_warnings_of_the_scene_are_said(
+    swaying_scene: Scene, toile: Toile, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On the console, in the log, and with the numbers that the page shows."""
+    heavy = dataclasses.replace(swaying_scene, gravity=1.3 * swaying_scene.gravity)
+    write_native(heavy, tmp_path / "data" / "made" / "heavy")
+    outcome = toile(*PAPER, *QUICK, "scene=heavy", "hydra.run.dir=run")
+    assert outcome.status == 0
+    warning = "Gravity has an unusual magnitude"
+    run = RunFolder(tmp_path / "run")
+    assert warning in outcome.err
+    assert warning in (run.path / "fit.log").read_text()
+    assert any(warning in text for text in read_metrics(run)["scene warnings"])
+
+
+def test_an_impossible_scene_stops_the_fit_unless_forced(
+    swaying_scene: Scene, toile: Toile, tmp_path: Path
+) -> None:
+    strong = dataclasses.replace(swaying_scene, gravity=4 * swaying_scene.gravity)
+    write_native(strong, tmp_path / "data" / "made" / "strong")
+    command = (*PAPER, *QUICK, "scene=strong", "optimization.cycles=1", "hydra.run.dir=run")
+    refused = toile(*command)
+    assert refused.status == 2
+    assert "Gravity is far too strong" in refused.err
+    assert "force=true" in refused.err
+    assert not RunFolder(tmp_path / "run").trajectory.exists()
+    forced = toile(*command, "force=true")
+    assert forced.status == 0
+    assert any(
+        "far too strong" in text for text in read_metrics(RunFolder(tmp_path / "run"))["scene warnings"]
+    )
+
+
+def test_one_frame_cannot_be_fitted(swaying: Path, toile: Toile) -> None:
+    refused = toile("fit", "scene=swaying", "scene.n_frames=1", "force=true", "hydra.run.dir=run")
+    assert refused.status == 2
+    assert "Too few frames for a fit" in refused.err
+    assert swaying.is_dir()
+
+
 def test_nothing_to_resume(toile: Toile) -> None:
     outcome = toile("fit", "resume=nowhere")
     assert outcome.status == 2

@@ -43,6 +43,25 @@ def test_evaluate_keeps_what_the_fit_noted(toile, run_folder: RunFolder) -> None
     assert (saved["fit"], saved["seed"]) == ({"cycles": 3}, 0)
 
 
+def test_evaluate_keeps_the_out_of_balance_force(toile, run_folder: RunFolder) -> None:
+    """Only the fit knows the forces; an evaluation of fewer frames must not lose it either."""
+    metric = {
+        "title": "Out-of-balance force / weight",
+        "unit": "",
+        "protocol": "as measured",
+        "higher_is_better": False,
+        "mean": 0.2,
+        "per_frame": [None, 0.2, None],
+    }
+    run_folder.metrics.write_text(json.dumps({"fit": {"out_of_balance": metric}}))
+    for frames, expected in ((None, [None, 0.2, None]), (2, [None, 0.2]), (None, [None, 0.2, None])):
+        more = () if frames is None else (f"n_frames={frames}",)
+        assert toile("evaluate", "run=run", *more).status == 0
+        saved = json.loads(run_folder.metrics.read_text())
+        assert saved["metrics"]["out_of_balance"]["per_frame"] == expected
+        assert "out_of_balance" not in saved["skipped"]
+
+
 def test_evaluate_against_a_named_scene_and_without_renderer(toile, run_folder: RunFolder) -> None:
     run_folder.config.unlink()
     status, _, _ = toile("evaluate", "run=run", "scene=tiny", "scene.n_frames=3", "~renderer")

@@ -91,7 +91,10 @@ def instantiate(node: Any) -> Any:
     Raises:
         InputError: a value that its annotation does not allow.
     """
-    check_arguments(OmegaConf.to_container(node, resolve=True) if isinstance(node, Container) else node)
+    if isinstance(node, dict | list):
+        node = OmegaConf.create(node)  # parts of it may be configurations
+    if isinstance(node, Container):
+        check_arguments(OmegaConf.to_container(node, resolve=True))
     return _with_tuples(None if node is None else hydra.utils.instantiate(node, _convert_="all"))
 
 

@@ -23,6 +23,7 @@ from toile.cli.fit_results import (
     write_pictures,
 )
 from toile.cli.resume import is_finished, last_checkpoint
+from toile.cli.scene_warnings import scene_warnings
 from toile.cli.terminal import print_evaluation, print_path
 from toile.cli.trainer import make_trainer
 from toile.errors import InputError
@@ -32,7 +33,13 @@ from toile.fitting.module import Cycles, FitModule
 from toile.fitting.quiet import quiet_lightning
 from toile.fitting.reconstruction import Reconstruction
 from toile.fitting.scene_cloth import scene_units
-from toile.reports.run_folder import create_run_folder, read_metrics, write_config, write_git_revision
+from toile.reports.run_folder import (
+    create_run_folder,
+    read_metrics,
+    write_config,
+    write_git_revision,
+    write_overrides,
+)
 from toile.scenes.scene import Scene
 
 log = logging.getLogger(__name__)
@@ -53,12 +60,17 @@ def run(cfg: DictConfig) -> float | None:
         print_path(folder.path, ": finished before with the same settings")
         return objective(cfg, EvaluationResult.from_dict(read_metrics(folder)))
     checkpoint = last_checkpoint(folder, config)
-    write_config(folder, config)
-    write_git_revision(folder)
     check_losses_are_used(cfg)
+    write_config(folder, config)
+    write_overrides(folder, HydraConfig.get().overrides.task)
+    write_git_revision(folder)
     scene: Scene = instantiate(cfg.scene)
+    warnings = scene_warnings(scene, force=cfg.force)
     module = FitModule(build_reconstruction(cfg, scene), instantiate(cfg.optimization), cfg.seed)
     interrupted = optimise(cfg, module, checkpoint)
+    if interrupted and module.cycles_done == 0:
+        print_path(folder.path, ": stopped before the first cycle was done; there is nothing to continue")
+        raise KeyboardInterrupt
     trajectory = final_trajectory(module.reconstruction, module.recipe.substep_positions())
     write_motion(folder, module, trajectory)
     if interrupted:
@@ -72,7 +84,7 @@ def run(cfg: DictConfig) -> float | None:
         seed=cfg.seed,
         out_of_balance=residual_force(module.reconstruction, trajectory),
     )
-    write_numbers(folder, module, trajectory, evaluation, time.perf_counter() - started)
+    write_numbers(folder, module, trajectory, evaluation, time.perf_counter() - started, warnings)
     write_final_numbers(cfg, folder, config)
     write_pictures(folder, module, trajectory, evaluation, cfg.report)
     print_evaluation(evaluation)

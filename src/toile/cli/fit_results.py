@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -32,6 +32,7 @@ from toile.reports.page.run_page import write_result_page
 from toile.reports.run_folder import RunFolder, write_history, write_metrics, write_trajectory
 from toile.reports.run_report import result_page, true_points
 from toile.scenes.scene import Scene
+from toile.scenes.validation import uncropped_camera
 from toile.simulators.base import SimulationError
 from toile.simulators.implicit.terms import term_forces
 from toile.simulators.step_terms import ElementTerm, StepContext
@@ -136,16 +137,27 @@ def write_motion(folder: RunFolder, module: FitModule, trajectory: Tensor) -> No
     """Write history.csv and trajectory.npz: what a run must have to be of use."""
     write_history(folder, pd.DataFrame(module.history))
     reconstruction = module.reconstruction
+    scene = reconstruction.scene
+    camera = uncropped_camera(scene)
     write_trajectory(
         folder,
         trajectory.numpy(),
-        fps=reconstruction.scene.fps,
+        fps=scene.fps,
         parameters=fitted_parameters(reconstruction),
+        faces=reconstruction.faces.numpy(),
+        intrinsics=[[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]],
+        image_size=(camera.height, camera.width),
+        gravity=scene.gravity.numpy(),
     )
 
 
 def write_numbers(
-    folder: RunFolder, module: FitModule, trajectory: Tensor, evaluation: EvaluationResult, seconds: float
+    folder: RunFolder,
+    module: FitModule,
+    trajectory: Tensor,
+    evaluation: EvaluationResult,
+    seconds: float,
+    warnings: Sequence[str] = (),
 ) -> None:
     """Write metrics.json.
 
@@ -155,6 +167,7 @@ def write_numbers(
         trajectory: final one (F, H, W, 3) [m].
         evaluation: of that trajectory.
         seconds: duration of the command so far.
+        warnings: what is remarkable about the scene or the fit, for the page.
     """
     numbers: dict[str, Any] = {
         **evaluation.to_dict(),
@@ -165,10 +178,13 @@ def write_numbers(
             "last losses": {k: v for k, v in module.history[-1].items() if k.startswith("loss")}
             if module.history
             else {},
+            # Only a fit knows the forces; an evaluation of fewer frames must not lose it.
+            "out_of_balance": evaluation.to_dict()["metrics"].get("out_of_balance"),
             "difference to the last cycle [mm]": _difference(module, trajectory),
             "difference to a rollout without warm start [mm]": _difference_cold(module, trajectory),
         },
         "machine": machine(),
+        "scene warnings": list(warnings),
     }
     write_metrics(folder, numbers)
 

@@ -34,17 +34,41 @@ def resume_arguments(arguments: Sequence[str], what: str) -> list[str]:
     if not folders:
         return list(arguments)
     folder = folders[-1]
-    record = folder / ".hydra" / "overrides.yaml"
-    if not record.is_file() or not checkpoint_path(RunFolder(folder)).is_file():
+    record = _record(folder)
+    if record is None or not checkpoint_path(RunFolder(folder)).is_file():
         raise InputError(
             f"There is no {what} to continue",
             where=str(folder),
-            expected=f"a run folder with .hydra/overrides.yaml and checkpoints/{CycleCheckpoint.NAME}",
+            expected=f"a run folder with overrides.yaml and checkpoints/{CycleCheckpoint.NAME}",
             got="no such folder" if not folder.is_dir() else "a folder without one of them",
         )
-    before = [str(a) for a in yaml.safe_load(record.read_text(encoding="utf-8")) or []]
+    before = _overrides(record)
     others = [a for a in arguments if a.partition("=")[0] != _KEY]
     return [*before, *others, f"hydra.run.dir='{folder}'"]
+
+
+def _record(folder: Path) -> Path | None:
+    """Where the arguments of a run stand; older runs have Hydra's own record only.
+
+    Hydra writes its record before anybody can refuse what it was asked for, so it may belong to a later call.
+    """
+    records = (RunFolder(folder).overrides, folder / ".hydra" / "overrides.yaml")
+    return next((record for record in records if record.is_file()), None)
+
+
+def _overrides(record: Path) -> list[str]:
+    try:
+        overrides = yaml.safe_load(record.read_text(encoding="utf-8")) or []
+        if not isinstance(overrides, list):
+            raise ValueError(f"a {type(overrides).__name__} at the top level")
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise InputError(
+            "The run's overrides cannot be read",
+            where=str(record),
+            expected="a YAML list of key=value",
+            got=" ".join(str(error).split()),
+        ) from error
+    return [str(override) for override in overrides]
 
 
 def checkpoint_path(folder: RunFolder) -> Path:

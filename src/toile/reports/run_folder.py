@@ -6,7 +6,9 @@
       config.yaml       the resolved configuration, as text
       git_revision      revision of the code
       metrics.json      numbers, with their protocols
-      trajectory.npz    positions (F, H, W, 3) float64 [m], camera frame; fps; one array per parameter
+      overrides.yaml    what the run was started with, for resume=
+      trajectory.npz    positions (F, H, W, 3) float64 [m], camera frame; times, faces, camera, gravity; one
+                        array per parameter (see SavedTrajectory)
       history.csv       one row per optimisation cycle
       chamfer.csv       Chamfer distance over the cycles, where there is ground truth
       tensorboard/      events for TensorBoard
@@ -23,21 +25,25 @@ from __future__ import annotations
 import json
 import subprocess
 import zipfile
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
+import yaml
 
 from toile.atomic_file import write_text, written_atomically
 from toile.errors import InputError
 
 T = TypeVar("T")
 
-RESERVED_ARRAYS = ("positions", "fps")
+TRAJECTORY_FORMAT = 2
+"""1: positions, fps and parameters alone. 2: with times, faces, K, image_size and gravity."""
+
+RESERVED_ARRAYS = ("format", "positions", "fps", "times", "faces", "K", "image_size", "gravity")
 
 
 @dataclass(frozen=True)
@@ -50,6 +56,11 @@ class RunFolder:
     def config(self) -> Path:
         """Resolved configuration (YAML text)."""
         return self.path / "config.yaml"
+
+    @property
+    def overrides(self) -> Path:
+        """Overrides of the configuration that the run was started with (YAML list)."""
+        return self.path / "overrides.yaml"
 
     @property
     def git_revision(self) -> Path:
@@ -107,14 +118,24 @@ class SavedTrajectory:
     """A trajectory as read from a run folder.
 
     Attributes:
-        positions: (F, H, W, 3) float64 [m], camera frame.
-        fps: frames per second.
+        positions: (F, H, W, 3) float64 [m], OpenCV camera frame (x right, y down, z forward).
+        fps: frames per second, on average.
         parameters: further arrays by name, e.g. stiffnesses, in SI units.
+        times: of the frames (F,) [s], the first 0.
+        faces: triangles (T, 3) of flattened vertex indices i * W + j; None in files of format 1.
+        intrinsics: K (3, 3) [px] of the whole image, pixel = K (X / Z); None in files of format 1.
+        image_size: (height, width) of that image [px]; None in files of format 1.
+        gravity: (3,) [m/s²]; None in files of format 1.
     """
 
     positions: npt.NDArray[np.float64]
     fps: float
-    parameters: Mapping[str, npt.NDArray[Any]] = field(default_factory=dict)
+    parameters: Mapping[str, npt.NDArray[Any]]
+    times: npt.NDArray[np.float64]
+    faces: npt.NDArray[np.int64] | None = None
+    intrinsics: npt.NDArray[np.float64] | None = None
+    image_size: tuple[int, int] | None = None
+    gravity: npt.NDArray[np.float64] | None = None
 
 
 def create_run_folder(path: Path) -> RunFolder:
@@ -184,6 +205,11 @@ def read_git_revision(run: RunFolder) -> str:
     return _read(run.git_revision, "one line of text", lambda path: path.read_text(encoding="utf-8").strip())
 
 
+def write_overrides(run: RunFolder, overrides: Sequence[str]) -> Path:
+    """Write what the run was started with."""
+    return write_text(run.overrides, yaml.safe_dump(list(overrides), allow_unicode=True))
+
+
 def write_metrics(run: RunFolder, metrics: Mapping[str, Any]) -> Path:
     """Write numbers as strict JSON; give ``EvaluationResult.to_dict()`` or any plain dictionary.
 
@@ -220,14 +246,24 @@ def write_trajectory(
     *,
     fps: float,
     parameters: Mapping[str, npt.ArrayLike] | None = None,
+    times: npt.ArrayLike | None = None,
+    faces: npt.ArrayLike | None = None,
+    intrinsics: npt.ArrayLike | None = None,
+    image_size: tuple[int, int] | None = None,
+    gravity: npt.ArrayLike | None = None,
 ) -> Path:
-    """Write positions and parameters as plain arrays (compressed NPZ, no pickles).
+    """Write a trajectory as plain arrays (compressed NPZ, no pickles).
 
     Args:
         run: where to write.
         positions: (F, H, W, 3) [m], camera frame; stored as float64.
-        fps: frames per second.
-        parameters: further arrays by name, in SI units; the names "positions" and "fps" are taken.
+        fps: frames per second, on average.
+        parameters: further arrays by name, in SI units; RESERVED_ARRAYS are taken.
+        times: of the frames (F,) [s]; None for frames at equal distances.
+        faces: see SavedTrajectory; None leaves it out, as for the three below.
+        intrinsics: K (3, 3) [px].
+        image_size: (height, width) [px].
+        gravity: (3,) [m/s²].
 
     Raises:
         InputError: wrong shape, a number that is not finite, or an array that is not numeric.
@@ -240,6 +276,14 @@ def write_trajectory(
             expected="finite positions of shape (F, H, W, 3) in metres",
             got=f"shape {x.shape}, {int((~np.isfinite(x)).sum())} non-finite numbers",
         )
+    t = np.arange(len(x)) / fps if times is None else np.asarray(times, dtype=np.float64)
+    if t.shape != (len(x),) or not (np.diff(t) > 0).all():
+        raise InputError(
+            "Times of the trajectory cannot be written",
+            where=str(run.trajectory),
+            expected=f"{len(x)} increasing numbers [s]",
+            got=f"shape {t.shape}",
+        )
     arrays = {name: np.asarray(value) for name, value in (parameters or {}).items()}
     bad = [n for n, a in arrays.items() if n in RESERVED_ARRAYS or a.dtype.kind not in "biufU"]
     if bad:
@@ -249,21 +293,51 @@ def write_trajectory(
             expected=f"numbers or text, under names other than {', '.join(RESERVED_ARRAYS)}",
             got=", ".join(f"{n} ({arrays[n].dtype})" for n in bad),
         )
+    around = {
+        "faces": None if faces is None else np.asarray(faces, dtype=np.int64),
+        "K": None if intrinsics is None else np.asarray(intrinsics, dtype=np.float64),
+        "image_size": None if image_size is None else np.asarray(image_size, dtype=np.int64),
+        "gravity": None if gravity is None else np.asarray(gravity, dtype=np.float64),
+    }
+    known = {name: array for name, array in around.items() if array is not None}
     with written_atomically(run.trajectory) as temporary, temporary.open("wb") as file:
-        np.savez_compressed(file, allow_pickle=False, positions=x, fps=np.float64(fps), **arrays)
+        np.savez_compressed(
+            file,
+            allow_pickle=False,
+            format=np.int64(TRAJECTORY_FORMAT),
+            positions=x,
+            fps=np.float64(fps),
+            times=t,
+            **known,
+            **arrays,
+        )
     return run.trajectory
 
 
 def read_trajectory(run: RunFolder) -> SavedTrajectory:
-    """Read positions and parameters; never unpickles."""
+    """Read a trajectory of this format or an older one; never unpickles."""
 
     def load(path: Path) -> SavedTrajectory:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
             arrays = {name: data[name] for name in data.files}
+        version = int(arrays.pop("format", 1))
+        if version > TRAJECTORY_FORMAT:
+            raise ValueError(f"format {version}, of a later version of toile")
         positions, fps = arrays.pop("positions"), float(arrays.pop("fps"))
         if positions.ndim != 4 or positions.shape[-1] != 3:
             raise ValueError(f"positions of shape {positions.shape}")
-        return SavedTrajectory(np.asarray(positions, dtype=np.float64), fps, arrays)
+        times = arrays.pop("times") if version > 1 else np.arange(len(positions)) / fps
+        size = arrays.pop("image_size", None)
+        return SavedTrajectory(
+            np.asarray(positions, dtype=np.float64),
+            fps,
+            times=np.asarray(times, dtype=np.float64),
+            faces=arrays.pop("faces", None),
+            intrinsics=arrays.pop("K", None),
+            image_size=None if size is None else (int(size[0]), int(size[1])),
+            gravity=arrays.pop("gravity", None),
+            parameters=arrays,
+        )
 
     return _read(run.trajectory, "an NPZ file with positions (F, H, W, 3) and fps", load)
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from toile.scenes.findings import Finding, Severity, attempt
+from toile.scenes.findings import Finding, Severity, attempt, has_errors
+from toile.scenes.fitness import check_fit
 from toile.scenes.native import survey_native
 from toile.scenes.phi_sft import survey_phi_sft
 from toile.scenes.recording import Recording, assemble, check_image_contents
@@ -50,5 +51,6 @@ def _diagnose(recording: Recording | None, findings: list[Finding]) -> list[Find
         if scene is not None:
             loading = scene.notes[len(recording.notes) :]
             findings += [Finding(Severity.INFO, "Loading", recording.name, "-", note) for note in loading]
-            findings += check_scene(scene)
+            checked = check_scene(scene)
+            findings += checked if has_errors(checked) else [*checked, *check_fit(scene)]
     return sorted(dict.fromkeys(findings), key=lambda finding: _ORDER.index(finding.severity))

@@ -60,6 +60,11 @@ def require(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     return findings
 
 
+def is_warning(note: str) -> bool:
+    """Whether a note of a scene is a warning, as loaders put it there."""
+    return note.startswith(f"[{Severity.WARNING}]")
+
+
 def has_errors(findings: Iterable[Finding]) -> bool:
     """Whether any finding is an error."""
     return any(finding.severity is Severity.ERROR for finding in findings)

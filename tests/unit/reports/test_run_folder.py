@@ -69,6 +69,45 @@ def test_metrics_must_be_strict_json(run: rf.RunFolder) -> None:
     assert not run.metrics.exists()
 
 
+def test_a_trajectory_brings_what_it_takes_to_use_it(run: rf.RunFolder) -> None:
+    x, times = positions(), [0.0, 0.02, 0.1, 0.15][: len(positions())]
+    K = [[700.0, 0.0, 320.0], [0.0, 710.0, 240.0], [0.0, 0.0, 1.0]]
+    rf.write_trajectory(
+        run,
+        x,
+        fps=20.0,
+        times=times,
+        faces=[[0, 1, 2]],
+        intrinsics=K,
+        image_size=(480, 640),
+        gravity=[0.0, 9.81, 0.0],
+    )
+    saved = rf.read_trajectory(run)
+    assert saved.times.tolist() == times
+    assert saved.faces is not None
+    assert saved.faces.tolist() == [[0, 1, 2]]
+    assert saved.intrinsics is not None
+    assert saved.intrinsics.tolist() == K
+    assert saved.image_size == (480, 640)
+    assert saved.gravity is not None
+    assert saved.gravity.tolist() == [0.0, 9.81, 0.0]
+    assert saved.parameters == {}
+
+
+def test_trajectories_of_format_1_are_read(run: rf.RunFolder) -> None:
+    np.savez(run.trajectory, positions=positions(), fps=25.0, stretching=3000.0)
+    saved = rf.read_trajectory(run)
+    assert saved.times.tolist() == pytest.approx([k / 25 for k in range(len(positions()))])
+    assert saved.faces is None
+    assert list(saved.parameters) == ["stretching"]
+
+
+def test_later_formats_are_refused(run: rf.RunFolder) -> None:
+    np.savez(run.trajectory, positions=positions(), fps=25.0, format=rf.TRAJECTORY_FORMAT + 1)
+    with pytest.raises(InputError, match="later version"):
+        rf.read_trajectory(run)
+
+
 @pytest.mark.parametrize("bad", [np.zeros((3, 20, 3)), np.full((1, 2, 2, 3), np.nan)], ids=["shape", "nan"])
 def test_bad_positions_are_refused(run: rf.RunFolder, bad: np.ndarray) -> None:
     with pytest.raises(InputError, match=r"\(F, H, W, 3\)"):
