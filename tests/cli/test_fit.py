@@ -14,6 +14,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from toile.cli.fit_tries import SECOND_TRY
+from toile.fitting.lost_cloth import LostClothGuard
 from toile.fitting.module import FitModule
 from toile.reports.run_folder import RunFolder, read_history, read_metrics, read_trajectory
 from toile.scenes.native import write_native
@@ -257,6 +259,73 @@ def test_one_frame_cannot_be_fitted(swaying: Path, toile: Toile) -> None:
     assert refused.status == 2
     assert "Too few frames for a fit" in refused.err
     assert swaying.is_dir()
+
+
+def lose_the_cloth(monkeypatch: pytest.MonkeyPatch, *kept: int) -> None:
+    """Let the outline say so, once for each try."""
+    answers = iter(kept)
+    monkeypatch.setattr(LostClothGuard, "first_lost", lambda *_: next(answers))
+
+
+@pytest.mark.usefixtures("swaying")
+def test_where_the_cloth_is_lost_a_second_try_follows_the_outline_more(
+    toile: Toile, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    command = ("fit", "scene=swaying", *QUICK)
+    assert toile(*command, "hydra.run.dir=usual").status == 0
+    usual = RunFolder(tmp_path / "usual")
+    assert read_metrics(usual)["scene warnings"] == []
+    with monkeypatch.context() as patch:
+        lose_the_cloth(patch, 2, 5)
+        outcome = toile(*command, "hydra.run.dir=run")
+    assert outcome.status == 0
+    assert "second try, silhouette 10 times heavier" in outcome.err
+    run = RunFolder(tmp_path / "run")
+    assert not identical(run, usual)
+    assert any("first try lost the cloth in frame 2" in w for w in read_metrics(run)["scene warnings"])
+    assert (run.path / SECOND_TRY / "checkpoints").is_dir()
+    # Kept no longer: the first try counts, and what is lost is said.
+    with monkeypatch.context() as patch:
+        lose_the_cloth(patch, 2, 2)
+        assert toile(*command, "hydra.run.dir=lost").status == 0
+    lost = RunFolder(tmp_path / "lost")
+    assert identical(lost, usual)
+    (warning,) = read_metrics(lost)["scene warnings"]
+    assert "lost from frame 2 on" in warning
+    # Nothing but said.
+    with monkeypatch.context() as patch:
+        lose_the_cloth(patch, 2)
+        assert toile(*command, "lost_cloth.mask_factor=null", "hydra.run.dir=said").status == 0
+    assert not (tmp_path / "said" / SECOND_TRY).exists()
+
+
+@pytest.mark.usefixtures("swaying")
+def test_a_second_try_continues_bit_for_bit(
+    toile: Toile, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    command = ("fit", "scene=swaying", *QUICK)
+    with monkeypatch.context() as patch:
+        lose_the_cloth(patch, 2, 5)
+        assert toile(*command, "hydra.run.dir=whole").status == 0
+    step = FitModule.training_step
+    calls: list[int] = []
+
+    def interrupted(self: FitModule, batch: int, batch_idx: int) -> None:
+        calls.append(self.cycles_done)
+        if calls.count(0) == 2 and self.cycles_done == 2:
+            raise KeyboardInterrupt
+        step(self, batch, batch_idx)
+
+    with monkeypatch.context() as patch:
+        lose_the_cloth(patch, 2, 5)
+        patch.setattr(FitModule, "training_step", interrupted)
+        outcome = toile(*command, "hydra.run.dir=run")
+    assert outcome.status == 130
+    assert "second try stopped" in outcome.out
+    with monkeypatch.context() as patch:
+        lose_the_cloth(patch, 2, 5)
+        assert toile("fit", "resume=run").status == 0
+    assert identical(RunFolder(tmp_path / "run"), RunFolder(tmp_path / "whole"))
 
 
 def test_nothing_to_resume(toile: Toile) -> None:

@@ -4,32 +4,27 @@ from __future__ import annotations
 
 import logging
 import math
-import signal
 import time
-from pathlib import Path
-from typing import Any
 
 from hydra.core.hydra_config import HydraConfig
-from lightning.pytorch.trainer.states import TrainerStatus
 from omegaconf import DictConfig, OmegaConf
 
 from toile.cli.configuration import instantiate, output_folder, resolved_yaml
 from toile.cli.dashboard import write_final_numbers
 from toile.cli.fit_results import (
-    final_trajectory,
+    Seconds,
     residual_force,
     write_motion,
     write_numbers,
     write_pictures,
 )
+from toile.cli.fit_tries import Fitted, fit_with_guard
 from toile.cli.resume import is_finished, last_checkpoint
 from toile.cli.scene_warnings import scene_warnings
 from toile.cli.terminal import print_evaluation, print_path
-from toile.cli.trainer import make_trainer
 from toile.errors import InputError
 from toile.evaluation.evaluate import EvaluationResult, evaluate
 from toile.fitting.effects import FitEffects
-from toile.fitting.module import Cycles, FitModule
 from toile.fitting.quiet import quiet_lightning
 from toile.fitting.reconstruction import Reconstruction
 from toile.fitting.scene_cloth import scene_units
@@ -66,17 +61,17 @@ def run(cfg: DictConfig) -> float | None:
     write_git_revision(folder)
     scene: Scene = instantiate(cfg.scene)
     warnings = scene_warnings(scene, force=cfg.force)
-    module = FitModule(build_reconstruction(cfg, scene), instantiate(cfg.optimization), cfg.seed)
-    interrupted = optimise(cfg, module, checkpoint)
-    if interrupted and module.cycles_done == 0:
+    fitted = fit_with_guard(cfg, scene, folder, checkpoint, build_reconstruction)
+    module, trajectory = fitted.module, fitted.trajectory
+    if trajectory is None:
         print_path(folder.path, ": stopped before the first cycle was done; there is nothing to continue")
         raise KeyboardInterrupt
-    trajectory = final_trajectory(module.reconstruction, module.recipe.substep_positions())
     write_motion(folder, module, trajectory)
-    if interrupted:
-        print_path(folder.path, f": stopped after {module.cycles_done} of {module.n_cycles} cycles")
+    if fitted.interrupted:
+        print_path(folder.path, f": {fitted.interrupted} stopped{_progress_of(fitted)}")
         print_path(f"toile fit resume={folder.path}", " continues")
         raise KeyboardInterrupt
+    warnings = [*warnings, *fitted.warnings]
     evaluation = evaluate(
         trajectory,
         scene,
@@ -84,13 +79,19 @@ def run(cfg: DictConfig) -> float | None:
         seed=cfg.seed,
         out_of_balance=residual_force(module.reconstruction, trajectory),
     )
-    write_numbers(folder, module, trajectory, evaluation, time.perf_counter() - started, warnings)
+    seconds = Seconds(fitted.seconds, time.perf_counter() - started)
+    write_numbers(folder, module, trajectory, evaluation, seconds, warnings)
     write_final_numbers(cfg, folder, config)
     write_pictures(folder, module, trajectory, evaluation, cfg.report)
     print_evaluation(evaluation)
     print_path(folder.path)
     print_path(folder.page)
     return objective(cfg, evaluation)
+
+
+def _progress_of(fitted: Fitted) -> str:
+    module = fitted.module
+    return f" after {module.cycles_done} of {module.n_cycles} cycles" if fitted.interrupted == "fit" else ""
 
 
 def objective(cfg: DictConfig, evaluation: EvaluationResult) -> float | None:
@@ -171,23 +172,3 @@ def substeps_per_frame(simulator: DictConfig, fps: float) -> int:
         return int(simulator.substeps)
     # Rounding must not turn 0.02 s / 0.01 s into three sub-steps.
     return max(1, math.ceil(1 / fps / simulator.longest_substep - 1e-9))
-
-
-def optimise(cfg: DictConfig, module: FitModule, checkpoint: Path | None) -> bool:
-    """Run the cycles, from a checkpoint if there is one; returns whether it was interrupted."""
-    callbacks = [c for c in instantiate(cfg.callbacks).values() if c is not None]
-    logger: Any = instantiate(cfg.logger) if cfg.get("logger") else False
-    trainer = make_trainer(cfg.trainer, callbacks, logger)
-    if checkpoint is not None:
-        log.info("continuing from %s", checkpoint)
-    on_interrupt = signal.getsignal(signal.SIGINT)
-    try:
-        trainer.fit(module, Cycles(module), ckpt_path=checkpoint, weights_only=True)
-    except SystemExit:
-        # Lightning turns Ctrl-C into this, and ignores Ctrl-C from then on.
-        if trainer.state.status is not TrainerStatus.INTERRUPTED:
-            raise
-        signal.signal(signal.SIGINT, on_interrupt)
-        module.roll_back()
-        return True
-    return False

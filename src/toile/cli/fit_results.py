@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -38,6 +38,18 @@ from toile.simulators.implicit.terms import term_forces
 from toile.simulators.step_terms import ElementTerm, StepContext
 
 _SIDE_VIEWS = 4
+
+
+class Seconds(NamedTuple):
+    """How long a fit took.
+
+    Attributes:
+        cycles: all cycles of all tries.
+        command: the command so far.
+    """
+
+    cycles: float
+    command: float
 
 
 @torch.no_grad()
@@ -156,7 +168,7 @@ def write_numbers(
     module: FitModule,
     trajectory: Tensor,
     evaluation: EvaluationResult,
-    seconds: float,
+    seconds: Seconds,
     warnings: Sequence[str] = (),
 ) -> None:
     """Write metrics.json.
@@ -166,15 +178,15 @@ def write_numbers(
         module: after the fit.
         trajectory: final one (F, H, W, 3) [m].
         evaluation: of that trajectory.
-        seconds: duration of the command so far.
+        seconds: how long it took.
         warnings: what is remarkable about the scene or the fit, for the page.
     """
     numbers: dict[str, Any] = {
         **evaluation.to_dict(),
         "fit": {
             "cycles": module.cycles_done,
-            "seconds of the fit": sum(r["seconds"] for r in module.history),
-            "seconds in total": seconds,
+            "seconds of the fit": seconds.cycles,
+            "seconds in total": seconds.command,
             "last losses": {k: v for k, v in module.history[-1].items() if k.startswith("loss")}
             if module.history
             else {},

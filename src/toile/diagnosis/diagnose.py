@@ -28,7 +28,6 @@ from toile.diagnosis.findings import (
 )
 from toile.diagnosis.gap_maps import gap_maps, stage_shares
 from toile.diagnosis.grip import SlipFit, slip_evidence
-from toile.diagnosis.lost_tracking import first_lost, outline_overlap
 from toile.diagnosis.mechanics import analyse_mechanics
 from toile.diagnosis.model_grid import model_grids
 from toile.diagnosis.numerics import StepRefinement, time_step_error
@@ -45,6 +44,7 @@ from toile.effects.base import BrightnessEffect, CameraEffect, Effect, ExposureE
 from toile.effects.catalogue import STAGES
 from toile.evaluation.diagnosis_record import EffectReport, GapReport, Protocol, Where
 from toile.fitting.gauss_newton.recipe import TrackingRecipe
+from toile.fitting.lost_cloth import first_lost, outline_overlap
 from toile.fitting.reconstruction import Reconstruction
 
 Array = NDArray[np.float64]

@@ -10,9 +10,9 @@ import torch
 from numpy.typing import NDArray
 from scipy import sparse
 
-from toile.diagnosis.lost_tracking import first_lost, outline_overlap
 from toile.diagnosis.model_grid import ModelGrid
 from toile.fitting.gauss_newton.recipe import SlidingWindows, Stage, TrackingRecipe, Windows, visible
+from toile.fitting.lost_cloth import first_lost, outline_overlap
 from toile.fitting.reconstruction import Reconstruction
 from toile.fitting.terms.image_features import contrast_features
 from toile.fitting.terms.texture_points import PointTermSettings, TexturePointTerm, grid_points

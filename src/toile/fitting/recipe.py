@@ -50,6 +50,14 @@ class Recipe(ABC):
         A step of a buckling cloth can have several equilibria; this says which one the fit has followed.
         """
 
+    def with_heavier_silhouette(self, factor: float) -> Recipe | None:
+        """The same recipe for a second try whose first stage follows the outline more; None: there is none.
+
+        Args:
+            factor: on the silhouette's weight there.
+        """
+        return None
+
     @abstractmethod
     def state_dict(self) -> dict[str, Any]:
         """Everything beyond the parameters that the next cycle depends on, as tensors and plain values."""

@@ -9,10 +9,10 @@ import pytest
 import torch
 
 from toile.diagnosis import tracked
-from toile.diagnosis.lost_tracking import first_lost, outline_overlap
 from toile.diagnosis.tracked import CoarseTracking, track, track_once
 from toile.fitting.gauss_newton.recipe import SlidingWindows, Stage, TrackingRecipe
 from toile.fitting.gauss_newton.unknowns import Priors
+from toile.fitting.lost_cloth import first_lost, outline_overlap
 from toile.fitting.reconstruction import Reconstruction
 from toile.fitting.terms.texture_points import PointTermSettings
 

@@ -241,3 +241,12 @@ def test_a_stage_that_matches_positions_needs_one_that_tracks(problem: Reconstru
     recipe = TrackingRecipe({"match": stage(PositionTermSettings(1e-3), PARAMETERS)})
     with pytest.raises(ValueError, match="needs a stage that tracks before it"):
         run(problem, recipe)
+
+
+def test_a_heavier_silhouette_is_that_of_the_first_stage_with_one() -> None:
+    plain = PointTermSettings(24, 1.0, None, 4096.0, 0.0)
+    recipe = TrackingRecipe({"a": stage(plain, TURBULENCE), "b": stage(IMAGES, TURBULENCE), "c": None})
+    heavier = recipe.with_heavier_silhouette(10.0)
+    assert heavier is not None
+    assert [s.term for s in heavier.stages] == [plain, replace(IMAGES, mask_weight=500.0)]
+    assert TrackingRecipe({"a": stage(plain, TURBULENCE)}).with_heavier_silhouette(10.0) is None

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Annotated, Any
 
@@ -126,6 +126,7 @@ class TrackingRecipe(Recipe):
     """
 
     def __init__(self, stages: Mapping[str, Stage | None]) -> None:
+        self._by_name = dict(stages)
         self.stages = [stage for stage in stages.values() if stage is not None]
         self._plan: list[tuple[Stage, int, int]] = []
         self._positions: Array | None = None
@@ -202,6 +203,14 @@ class TrackingRecipe(Recipe):
         }
         motion = torch.from_numpy(self._positions[: last * substeps + 1 : substeps])
         return CycleReport(losses, last + 1, motion, tuple(result.notes))
+
+    def with_heavier_silhouette(self, factor: float) -> TrackingRecipe | None:
+        """See Recipe; later stages start from the motion that the first one has found."""
+        for name, stage in self._by_name.items():
+            if stage is not None and isinstance(stage.term, PointTermSettings) and stage.term.mask_weight > 0:
+                term = replace(stage.term, mask_weight=factor * stage.term.mask_weight)
+                return TrackingRecipe({**self._by_name, name: replace(stage, term=term)})
+        return None
 
     def substep_positions(self) -> Tensor | None:
         """See Recipe."""

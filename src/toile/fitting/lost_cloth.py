@@ -1,6 +1,12 @@
-"""From which frame on tracking has lost the cloth, told by its outline."""
+"""From which frame on tracking has lost the cloth, told by its outline.
+
+A cloth that folds over where the image shows it flat hides its points, and hidden points cost nothing; a
+print that repeats can be taken for its neighbour. The outline tells.
+"""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -8,6 +14,7 @@ from numpy.typing import NDArray
 
 from toile.evaluation.silhouette import intersection_over_union
 from toile.fitting.reconstruction import Reconstruction
+from toile.limits import Positive
 
 Array = NDArray[np.float64]
 
@@ -30,3 +37,19 @@ def first_lost(overlap: Array) -> int:
     """First frame whose outline overlaps far less than that of frame 0; the number of frames if none does."""
     lost = np.flatnonzero(overlap < _LEAST * overlap[0])
     return int(lost[0]) if len(lost) else len(overlap)
+
+
+@dataclass(frozen=True)
+class LostClothGuard:
+    """What a fit does where its outline says that the cloth is lost.
+
+    Attributes:
+        mask_factor: by how much the silhouette weighs more in the first stage of a second try; None: there is
+            no second try, and what is lost is only said.
+    """
+
+    mask_factor: Positive | None = 10.0
+
+    def first_lost(self, reconstruction: Reconstruction, trajectory: torch.Tensor) -> int:
+        """First frame of a trajectory (F, H, W, 3) [m] in which the cloth is lost, or F."""
+        return first_lost(outline_overlap(reconstruction, trajectory.flatten(1, 2).numpy()))
