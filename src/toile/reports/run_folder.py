@@ -6,7 +6,8 @@
       config.yaml       the resolved configuration, as text
       git_revision      revision of the code
       metrics.json      numbers, with their protocols
-      trajectory.npz    positions (F, H, W, 3) float64 [m], camera frame; fps; one array per parameter
+      trajectory.npz    positions (F, H, W, 3) float64 [m], camera frame; fps; times (F,) [s] where
+                        frames are unevenly spaced; one array per parameter
       history.csv       one row per optimisation cycle
       chamfer.csv       Chamfer distance over the cycles, where there is ground truth
       tensorboard/      events for TensorBoard
@@ -37,7 +38,7 @@ from toile.errors import InputError
 
 T = TypeVar("T")
 
-RESERVED_ARRAYS = ("positions", "fps")
+RESERVED_ARRAYS = ("positions", "fps", "times")
 
 
 @dataclass(frozen=True)
@@ -108,13 +109,15 @@ class SavedTrajectory:
 
     Attributes:
         positions: (F, H, W, 3) float64 [m], camera frame.
-        fps: frames per second.
+        fps: frames per second, the mean where they are unevenly spaced.
         parameters: further arrays by name, e.g. stiffnesses, in SI units.
+        times: of the frames (F,) [s]; None where they are evenly spaced.
     """
 
     positions: npt.NDArray[np.float64]
     fps: float
     parameters: Mapping[str, npt.NDArray[Any]] = field(default_factory=dict)
+    times: npt.NDArray[np.float64] | None = None
 
 
 def create_run_folder(path: Path) -> RunFolder:
@@ -219,6 +222,7 @@ def write_trajectory(
     positions: npt.ArrayLike,
     *,
     fps: float,
+    times: npt.ArrayLike | None = None,
     parameters: Mapping[str, npt.ArrayLike] | None = None,
 ) -> Path:
     """Write positions and parameters as plain arrays (compressed NPZ, no pickles).
@@ -226,8 +230,9 @@ def write_trajectory(
     Args:
         run: where to write.
         positions: (F, H, W, 3) [m], camera frame; stored as float64.
-        fps: frames per second.
-        parameters: further arrays by name, in SI units; the names "positions" and "fps" are taken.
+        fps: frames per second, the mean where they are unevenly spaced.
+        times: of the frames (F,) [s]; None where they are evenly spaced.
+        parameters: further arrays by name, in SI units; the names "positions", "fps" and "times" are taken.
 
     Raises:
         InputError: wrong shape, a number that is not finite, or an array that is not numeric.
@@ -250,6 +255,8 @@ def write_trajectory(
             got=", ".join(f"{n} ({arrays[n].dtype})" for n in bad),
         )
     with written_atomically(run.trajectory) as temporary, temporary.open("wb") as file:
+        if times is not None:
+            arrays["times"] = np.asarray(times, dtype=np.float64)
         np.savez_compressed(file, allow_pickle=False, positions=x, fps=np.float64(fps), **arrays)
     return run.trajectory
 
@@ -263,7 +270,10 @@ def read_trajectory(run: RunFolder) -> SavedTrajectory:
         positions, fps = arrays.pop("positions"), float(arrays.pop("fps"))
         if positions.ndim != 4 or positions.shape[-1] != 3:
             raise ValueError(f"positions of shape {positions.shape}")
-        return SavedTrajectory(np.asarray(positions, dtype=np.float64), fps, arrays)
+        times = arrays.pop("times", None)
+        if times is not None and times.shape != positions.shape[:1]:
+            raise ValueError(f"times of shape {times.shape} for positions of shape {positions.shape}")
+        return SavedTrajectory(np.asarray(positions, dtype=np.float64), fps, arrays, times)
 
     return _read(run.trajectory, "an NPZ file with positions (F, H, W, 3) and fps", load)
 
