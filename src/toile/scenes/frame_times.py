@@ -106,9 +106,16 @@ def uniform_subset(times: Sequence[float], tolerance: float) -> UniformSubset:
         tolerance: by which a frame may be off its instant, as a fraction of the interval, below 0.5.
 
     Raises:
-        InputError: fewer than two frames would be left.
+        InputError: there are fewer than two.
     """
     t = np.asarray(times, dtype=np.float64)
+    if len(t) < 2:
+        raise InputError(
+            "No evenly spaced frames can be chosen",
+            where="times=uniform",
+            expected="at least two frames",
+            got=f"{len(t)} frames",
+        )
     t = t - t[0]
     # No instant may fall into a gap, so the interval is at least the longest one but for the tolerance. The
     # shortest interval that will do is one at which a frame is just late enough.
@@ -124,12 +131,7 @@ def uniform_subset(times: Sequence[float], tolerance: float) -> UniformSubset:
             slope, start = np.polyfit(np.arange(len(chosen)), chosen, 1)
             error = np.abs(chosen - start - slope * np.arange(len(chosen))).max()
             return UniformSubset(tuple(nearest.tolist()), 1 / float(slope), float(error))
-    raise InputError(
-        "No evenly spaced frames can be chosen",
-        where="times=uniform",
-        expected="at least two frames, or times=recorded",
-        got=f"{len(t)} frames",
-    )
+    raise AssertionError("the first and the last frame are evenly spaced")
 
 
 def check_spacing(times: Sequence[float] | None, where: str) -> list[Finding]:

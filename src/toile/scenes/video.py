@@ -104,9 +104,6 @@ class Clip:
 
         Args:
             tolerance: by which a frame may be off, as a fraction of the interval, below 0.5.
-
-        Raises:
-            InputError: fewer than two frames would be left.
         """
         if self.times is None:
             return self
