@@ -43,6 +43,13 @@ def run(cfg: DictConfig) -> None:
     )
     if cfg.times not in TIMES:
         raise InputError("No such choice", where="times", expected=" or ".join(TIMES), got=str(cfg.times))
+    if not 0 <= cfg.uniform_tolerance < 0.5:
+        raise InputError(
+            "Tolerance makes no sense",
+            where="uniform_tolerance",
+            expected="from 0 to below 0.5, where two instants would share a frame",
+            got=str(cfg.uniform_tolerance),
+        )
     if cfg.times == "uniform":
         clip = clip.evenly_spaced(cfg.uniform_tolerance)
     if cfg.still is not None:
