@@ -33,6 +33,7 @@ from toile.fitting.quiet import quiet_lightning
 from toile.fitting.reconstruction import Reconstruction
 from toile.fitting.scene_cloth import scene_units
 from toile.reports.run_folder import create_run_folder, read_metrics, write_config, write_git_revision
+from toile.scenes.findings import Severity
 from toile.scenes.scene import Scene
 from toile.simulators.frame_steps import FrameSteps
 
@@ -58,6 +59,10 @@ def run(cfg: DictConfig) -> float | None:
     write_git_revision(folder)
     check_losses_are_used(cfg)
     scene: Scene = instantiate(cfg.scene)
+    for note in scene.notes:
+        # The others say what was read, for the doctor.
+        if note.startswith(f"[{Severity.WARNING}]"):
+            log.warning(note)
     module = FitModule(build_reconstruction(cfg, scene), instantiate(cfg.optimization), cfg.seed)
     interrupted = optimise(cfg, module, checkpoint)
     trajectory = final_trajectory(module.reconstruction, module.recipe.substep_positions())
