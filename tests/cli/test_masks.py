@@ -226,6 +226,11 @@ def test_a_phone_s_clip_keeps_its_times_up_to_the_scene(toile, uneven: Path) -> 
     description = json.loads(Path("mine/video.json").read_text())
     assert description["frames"] == 12
     np.testing.assert_allclose(description["times"], UNEVEN_TIMES, atol=1e-3)
+    # So do the frames of the scene, when masks made elsewhere are given for them.
+    given = ("masks", "video=mine/rgbs", "scene=again", "method=given", "method.folder=mine/masks")
+    assert toile(*given).status == 0
+    assert json.loads(Path("again/video.json").read_text())["times"] == description["times"]
+    assert "fps replaces" in " ".join(toile(*given, "fps=25", "overwrite=true").out.split())
     # The template takes them over.
     make = (
         "template",

@@ -27,8 +27,8 @@ from toile.scenes.native import FILES
 from toile.scenes.picture_checks import PictureChecks
 from toile.scenes.segmentation.base import Segmentation, Segmented
 from toile.scenes.segmentation.checks import MaskMeasures, check_sequence
-from toile.scenes.segmentation.writing import DESCRIPTION, FOLDERS, write_frames
-from toile.scenes.video import open_clip
+from toile.scenes.segmentation.writing import FOLDERS, write_frames
+from toile.scenes.video import DESCRIPTION, open_clip
 
 PREVIEW = "masks.mp4"
 TIMES = ("recorded", "uniform")

@@ -6,10 +6,11 @@ interpolated to reach a constant rate.
 
 from __future__ import annotations
 
+import json
 import logging
 import re
 import subprocess
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -21,12 +22,16 @@ import numpy as np
 import numpy.typing as npt
 
 from toile.errors import InputError
-from toile.scenes.findings import Finding, Severity
-from toile.scenes.frame_times import check_spacing, settled, uniform_subset
+from toile.scenes.findings import Finding, Severity, require
+from toile.scenes.frame_times import check_spacing, check_times, settled, uniform_subset
 from toile.scenes.images import image_size, read_rgb
 
 Frame = npt.NDArray[np.uint8]
 """RGB picture (h, w, 3)."""
+
+DESCRIPTION = "video.json"
+FRAMES = "rgbs"
+"""What a scene's description of its clip, and the folder of its frames beside it, are called."""
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 
@@ -130,10 +135,13 @@ def open_clip(
     every: int = 1,
     fps: float | None = None,
 ) -> Clip:
-    """Look at a video without decoding it.
+    """Look at a video: its size, and when its frames were taken. Pictures are decoded by ``Clip.frames``.
+
+    The times need a pass of ffmpeg over the chosen part of a file.
 
     Args:
-        path: a file that ffmpeg can read, or a folder of images of one size.
+        path: a file that ffmpeg can read, or a folder of images of one size. The frames of a scene, images
+            beside a video.json, have the rate and the times that it says.
         start: first frame to choose, zero-based.
         n_frames: number of frames to choose; None for all that are there.
         every: choose every second, third ... frame.
@@ -172,15 +180,17 @@ def open_clip(
     expected = n_frames if left is None else min(left, n_frames or left)
     rate = float(stated if fps is None else fps) / every  # type: ignore[arg-type]
     clip = Clip(path, rate, height, width, start, every, n_frames, expected)
-    return clip if path.is_dir() else _timed(clip, fps)
-
-
-def _timed(clip: Clip, fps: float | None) -> Clip:
-    """The clip of a file with the times of its frames, or a warning where ``fps`` replaces uneven ones."""
-    stop = None if clip.n_frames is None else clip.start + clip.n_frames * clip.every
-    stamps, tick = _time_stamps(clip.path, stop)
+    stop = None if n_frames is None else start + n_frames * every
+    if path.is_dir():
+        described = _described_times(path, total)
+        return clip if described is None else _timed(clip, described[start:stop:every], 0.0, fps)
+    stamps, tick = _time_stamps(path, stop)
     # ffmpeg may look at one frame more than it is to pass on.
-    stamps = stamps[clip.start : stop : clip.every]
+    return _timed(clip, stamps[start:stop:every], tick, fps)
+
+
+def _timed(clip: Clip, stamps: Sequence[float | None], tick: float, fps: float | None) -> Clip:
+    """The clip with the times of its frames, or a warning where ``fps`` replaces uneven ones."""
     clip = replace(clip, expected_frames=len(stamps))
     known = [t for t in stamps if t is not None]
     if len(stamps) < 2:
@@ -214,6 +224,33 @@ def _timed(clip: Clip, fps: float | None) -> Clip:
         f"intervals of {1e3 * intervals.min():.4g} to {1e3 * intervals.max():.4g} ms",
     )
     return replace(clip, remarks=(replaced,))
+
+
+def _describes(folder: Path) -> dict[str, Any]:
+    """What the video.json beside a scene's frames says; nothing for another folder."""
+    path = folder.parent / DESCRIPTION
+    try:
+        description = json.loads(path.read_text()) if folder.name == FRAMES and path.is_file() else {}
+    except (OSError, ValueError):
+        return {}
+    return description if isinstance(description, dict) else {}
+
+
+def _described_times(folder: Path, n_frames: int | None) -> list[float] | None:
+    """Times of a scene's frames, or None where nothing says them.
+
+    Raises:
+        InputError: they are those of other frames.
+    """
+    times = _describes(folder).get("times")
+    if times is None:
+        return None
+    where = str(folder.parent / DESCRIPTION)
+    if not isinstance(times, list) or not all(isinstance(t, int | float) for t in times):
+        got = str(times)[:100]
+        raise InputError("Times cannot be understood", where=where, expected="a list of seconds", got=got)
+    require(check_times(times, n_frames or 0, None, where))
+    return [float(t) for t in times]
 
 
 def _time_stamps(path: Path, stop: int | None) -> tuple[list[float | None], float]:
@@ -251,7 +288,7 @@ def image_files(folder: Path) -> list[Path]:
     return sorted(found, key=lambda p: [int(s) if s.isdigit() else s for s in re.split(r"(\d+)", p.name)])
 
 
-def _survey_folder(path: Path) -> tuple[None, tuple[int, int], int]:
+def _survey_folder(path: Path) -> tuple[float | None, tuple[int, int], int]:
     files = image_files(path)
     if not files:
         there = sorted(p.name for p in path.iterdir())
@@ -261,7 +298,9 @@ def _survey_folder(path: Path) -> tuple[None, tuple[int, int], int]:
             expected=f"images ({', '.join(IMAGE_SUFFIXES)})",
             got=", ".join(there[:20]) or "an empty folder",
         )
-    return None, image_size(files[0]), len(files)
+    rate = _describes(path).get("fps")
+    stated = float(rate) if isinstance(rate, int | float) and 0 < rate < np.inf else None
+    return stated, image_size(files[0]), len(files)
 
 
 def _survey_file(path: Path) -> tuple[float, tuple[int, int], int | None]:

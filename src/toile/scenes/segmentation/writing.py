@@ -14,9 +14,8 @@ from toile.scenes.native import FILES
 from toile.scenes.picture_checks import PictureChecks
 from toile.scenes.segmentation.base import Segmented
 from toile.scenes.segmentation.checks import MaskMeasures, measure
-from toile.scenes.video import Clip
+from toile.scenes.video import DESCRIPTION, Clip
 
-DESCRIPTION = "video.json"
 FOLDERS = tuple(str(Path(FILES[key]).parent) for key in ("rgb", "mask"))
 
 
