@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+import torch
 
 from toile.cli.fit_tries import SECOND_TRY
 from toile.fitting.lost_cloth import LostClothGuard
@@ -395,3 +396,53 @@ def test_effects_of_the_image_are_refused(toile: Toile) -> None:
     assert outcome.status == 2
     assert "A fit takes effects on the motion" in outcome.err
     assert "air_drag" in outcome.err
+
+
+def test_unevenly_spaced_frames_from_the_fit_to_the_export(
+    swaying_scene: Scene, toile: Toile, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The swaying cloth without its third frame: 20, 40 and 20 ms."""
+    chosen = [0, 1, 3, 4]
+    times = torch.tensor([0.0, 0.02, 0.06, 0.08], dtype=torch.float64)
+    assert swaying_scene.ground_truth is not None
+    assert swaying_scene.ground_truth.vertices is not None
+    truth = dataclasses.replace(
+        swaying_scene.ground_truth,
+        vertices=swaying_scene.ground_truth.vertices[chosen],
+        point_clouds=tuple((swaying_scene.ground_truth.point_clouds or ())[k] for k in chosen)
+        if swaying_scene.ground_truth.point_clouds
+        else None,
+    )
+    scene = dataclasses.replace(
+        swaying_scene,
+        frames=swaying_scene.frames[chosen],
+        masks=swaying_scene.masks[chosen],
+        times=times,
+        fps=3 / 0.08,
+        ground_truth=truth,
+    )
+    write_native(scene, tmp_path / "data" / "made" / "swaying")
+    fit = ("fit", "scene=swaying", *QUICK)
+    assert toile(*fit, "hydra.run.dir=whole").status == 0
+    whole = RunFolder(tmp_path / "whole")
+    metrics = read_metrics(whole)
+    assert metrics["metrics"]["chamfer"]["mean"] < 1.0
+    assert metrics["fit"]["difference to the last cycle [mm]"] < 0.01
+    saved = read_trajectory(whole)
+    assert saved.times is not None
+    assert saved.times.tolist() == times.tolist()
+    assert "37.5 per second on average" in whole.page.read_text()
+    # Interrupted and continued, it is the same.
+    with monkeypatch.context() as patch:
+        interrupt_at(2, patch)
+        assert toile(*fit, "callbacks.checkpoint.every=1", "hydra.run.dir=run").status == 130
+    assert toile("fit", "resume=run").status == 0
+    assert identical(whole, RunFolder(tmp_path / "run"))
+    assert toile("export", "run=whole", "format=usd", "folder=out").status == 0
+    # What counts frames as time says so.
+    status, _, err = toile("fit", "scene=swaying", "simulator.substeps=2", *QUICK, "hydra.run.dir=fixed")
+    assert status == 2
+    assert "evenly spaced frames" in err
+    status, _, err = toile("diagnose", "scene=swaying", "hydra.run.dir=diagnosis")
+    assert status == 2
+    assert "times=uniform" in err

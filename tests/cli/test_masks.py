@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
+import subprocess
 from pathlib import Path
 
 import imageio.v3 as iio
+import imageio_ffmpeg
 import numpy as np
 import pytest
 from PIL import Image
 
 from toile.scenes.images import read_mask, read_rgb
+from toile.scenes.native import FILES, load_native
 
 # imageio-ffmpeg leaves the pipes of an ffmpeg that has ended to the garbage collector.
 pytestmark = pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning")
@@ -53,7 +56,7 @@ def tree(folder: Path) -> dict[str, bytes]:
 def test_a_video_becomes_frames_and_masks(toile, clip: Path) -> None:
     status, out, err = toile("masks", "video=clip.mp4", "scene=made/mine", "method=dark_background")
     assert (status, err) == (0, "")
-    assert "warning" not in out
+    assert out.count("[warning]") == out.count("Few frames") == 1
     folder = Path("made/mine")
     assert sorted(p.name for p in folder.iterdir()) == ["masks", "masks.mp4", "rgbs", "video.json"]
     description = json.loads((folder / "video.json").read_text())
@@ -184,3 +187,98 @@ def test_bad_input(toile, clip: Path, arguments, named) -> None:
     assert (status, out) == (2, "")
     assert named in err
     assert [p.name for p in Path().iterdir()] == ["clip.mp4"]
+
+
+@pytest.fixture
+def uneven(tmp_path: Path) -> Path:
+    """The square for 8 frames at 20 ms and 4 at 80 ms, its sixth picture shown once more."""
+    folder = write_images(tmp_path / "source", [pictures()[k] for k in (0, 1, 2, 3, 4, 3, 3, 2, 1, 0, 1, 2)])
+    path = tmp_path / "uneven.mp4"
+    ffmpeg = (imageio_ffmpeg.get_ffmpeg_exe(), "-loglevel", "error", "-framerate", "50")
+    times = "settb=1/90000,setpts='if(lt(N,8),0.02*N,0.16+0.08*(N-8))/TB'"
+    written = (
+        "-fps_mode",
+        "passthrough",
+        "-enc_time_base",
+        "1/90000",
+        "-pix_fmt",
+        "yuv420p",
+        "-crf",
+        "10",
+        path,
+    )
+    subprocess.run([*ffmpeg, "-i", folder / "%d.png", "-vf", times, *written], check=True)
+    return path
+
+
+UNEVEN_TIMES = [*(0.02 * np.arange(8)), *(0.16 + 0.08 * np.arange(4))]
+
+
+def test_a_phone_s_clip_keeps_its_times_up_to_the_scene(toile, uneven: Path) -> None:
+    status, out, err = toile("masks", "video=uneven.mp4", "scene=mine", "method=dark_background")
+    assert (status, err) == (0, "")
+    said = " ".join(out.split())
+    assert "Frames are unevenly spaced" in said
+    assert "Frames are duplicates of the frame before" in said
+    assert "frame 6" in said
+    assert "camera" not in said
+    assert "12 frames of 64 x 48 px, 27.5 per second on average" in said
+    description = json.loads(Path("mine/video.json").read_text())
+    assert description["frames"] == 12
+    np.testing.assert_allclose(description["times"], UNEVEN_TIMES, atol=1e-3)
+    # So do the frames of the scene, when masks made elsewhere are given for them.
+    given = ("masks", "video=mine/rgbs", "scene=again", "method=given", "method.folder=mine/masks")
+    assert toile(*given).status == 0
+    assert json.loads(Path("again/video.json").read_text())["times"] == description["times"]
+    assert "fps replaces" in " ".join(toile(*given, "fps=25", "overwrite=true").out.split())
+    # The template takes them over.
+    make = (
+        "template",
+        "scene=mine",
+        "surface=sheet",
+        "cloth_size=[0.4,0.4]",
+        "camera.fx=80",
+        "camera.fy=80",
+        "camera.cx=32",
+        "camera.cy=24",
+        "grid=[5,5]",
+    )
+    status, out, err = toile(*make)
+    assert (status, err) == (0, "")
+    assert "Frames are unevenly spaced" in " ".join(out.split())
+    scene = load_native(Path("mine"))
+    assert scene.times is not None
+    assert scene.times.tolist() == description["times"]
+    assert scene.fps == pytest.approx(11 / 0.4)
+    assert any("Frames are unevenly spaced" in note for note in scene.notes)
+    status, out, _ = toile("doctor", "scene=mine")
+    assert status == 0
+    for name in ("unevenly", "duplicates"):
+        assert name in out
+    assert "camera seems" not in " ".join(out.split())
+    # A rate given by hand replaces them, and that is said.
+    status, out, _ = toile(*make, "scene.fps=25", "overwrite=true")
+    assert status == 0
+    assert "fps replaces" in " ".join(out.split())
+    assert (load_native(Path("mine")).times, load_native(Path("mine")).fps) == (None, 25)
+    # A description that fits other frames is not believed.
+    for key in ("rgb", "mask"):
+        (Path("mine") / (FILES[key] % 11)).unlink()
+    status, _, err = toile(*make, "overwrite=true")
+    assert status == 2
+    assert "12 times for 11 frames" in err
+
+
+def test_evenly_spaced_frames_on_request(toile, uneven: Path) -> None:
+    arguments = ("masks", "video=uneven.mp4", "scene=mine", "method=dark_background")
+    status, out, _ = toile(*arguments, "times=uniform")
+    assert status == 0
+    assert "6 of 12 frames, 6 left out; 12.5 per second" in " ".join(out.split())
+    description = json.loads(Path("mine/video.json").read_text())
+    assert "times" not in description
+    assert (description["frames"], description["fps"]) == (6, pytest.approx(12.5, rel=1e-4))
+    for wrong in ("times=even", "uniform_tolerance=0.5"):
+        status, _, err = toile(*arguments, wrong, "overwrite=true")
+        assert status == 2
+        assert wrong.split("=")[0] in err
+    assert json.loads(Path("mine/video.json").read_text()) == description

@@ -22,7 +22,7 @@ def video(curved_sheet, tmp_path: Path) -> Path:
     vertices, faces = curved_sheet.irregular_mesh(600)
     write_mesh(tmp_path / "scan.ply", torch.from_numpy(vertices), faces)
     write_point_cloud(tmp_path / "cloud.npy", torch.from_numpy(curved_sheet.noisy_points()))
-    return curved_sheet.write_video(tmp_path / "video")
+    return curved_sheet.write_video(tmp_path / "video", 6)
 
 
 @pytest.mark.parametrize(

@@ -107,7 +107,7 @@ def moved(made: Reconstruction, unknowns: WindowUnknowns, start: State, z: Vecto
             Material(k[0], k[1], k[2]),
             torch.from_numpy(given.forces)[None],
             torch.from_numpy(given.anchors)[None],
-            made.substeps,
+            made.frame_steps.window(unknowns.first, unknowns.last),
             linearize=linearize,
         )
     return Motion(simulator, start, motion)

@@ -32,6 +32,7 @@ def run(cfg: DictConfig) -> None:
         trajectory.fps,
         None if scene is None else scene.texture_coordinates.numpy(),
         None if scene is None else scene.texture.numpy(),
+        times=trajectory.uneven_times,
     )
     for name in formats:
         written = export_animation(animation, Path(cfg.folder), name, keep_camera_frame=cfg.keep_camera_frame)

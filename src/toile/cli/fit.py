@@ -36,6 +36,7 @@ from toile.reports.run_folder import (
     write_overrides,
 )
 from toile.scenes.scene import Scene
+from toile.simulators.frame_steps import FrameSteps
 
 log = logging.getLogger(__name__)
 
@@ -157,7 +158,7 @@ def build_reconstruction(cfg: DictConfig, scene: Scene) -> Reconstruction:
         scene,
         cloth,
         make_simulator,
-        substeps_per_frame(cfg.simulator, scene.fps),
+        frame_steps(cfg.simulator, scene),
         parameters,
         instantiate(cfg.renderer),
         FitEffects(
@@ -166,9 +167,35 @@ def build_reconstruction(cfg: DictConfig, scene: Scene) -> Reconstruction:
     )
 
 
-def substeps_per_frame(simulator: DictConfig, fps: float) -> int:
-    """The number asked for, or as few as keep a sub-step within ``longest_substep``."""
+def frame_steps(simulator: DictConfig, scene: Scene) -> FrameSteps:
+    """The number asked for, or as few as keep a sub-step within ``longest_substep``, every frame in its time.
+
+    Raises:
+        InputError: a number per frame is asked for, and the frames are unevenly spaced.
+    """
+    if scene.times is None:
+        # Rounding must not turn 0.02 s / 0.01 s into three sub-steps.
+        fewest = max(1, math.ceil(1 / scene.fps / simulator.longest_substep - 1e-9))
+        substeps = fewest if simulator.substeps is None else int(simulator.substeps)
+        return FrameSteps.regular(substeps, scene.n_frames)
+    intervals = scene.times.diff()
     if simulator.substeps is not None:
-        return int(simulator.substeps)
-    # Rounding must not turn 0.02 s / 0.01 s into three sub-steps.
-    return max(1, math.ceil(1 / fps / simulator.longest_substep - 1e-9))
+        raise InputError(
+            "A fixed number of sub-steps per frame needs evenly spaced frames",
+            where="simulator.substeps",
+            expected="substeps=null and a longest_substep [s], because this scene has time stamps",
+            got=f"{simulator.substeps}, and intervals of {1e3 * float(intervals.min()):.4g} to "
+            f"{1e3 * float(intervals.max()):.4g} ms",
+        )
+    steps = FrameSteps.nearest(
+        scene.times.tolist(), float(simulator.longest_substep), float(simulator.largest_time_error)
+    )
+    step = 1 / scene.fps / steps.per_frame
+    off = float((steps.times(step) - scene.times).abs().max())
+    log.info(
+        "unevenly spaced frames: %d sub-steps of %.4g ms, frames at most %.3g ms from their times",
+        steps.ends[-1],
+        1e3 * step,
+        1e3 * off,
+    )
+    return steps

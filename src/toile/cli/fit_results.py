@@ -74,12 +74,15 @@ def residual_force(reconstruction: Reconstruction, trajectory: Tensor) -> OutOfB
     """Out-of-balance force of the trajectory under the fitted forces and effects.
 
     None for fewer than three frames. Effects within a step act as in a sub-step that ends in the frame with
-    the velocity between the frames beside it.
+    the velocity between the frames beside it. Frames count as being where they were simulated.
     """
     scene, given = reconstruction.scene, reconstruction.setting()
-    cloth, frame_time = given.cloth, float(given.frame_interval)
+    cloth, interval = given.cloth, float(given.frame_interval)
     if scene.n_frames < 3 or not bool(scene.gravity.any()):
         return None
+    step = interval / reconstruction.frame_steps.per_frame
+    regular = torch.arange(scene.n_frames, dtype=torch.float64) * interval
+    times = regular if scene.times is None else reconstruction.frame_steps.times(step)
     material, s = reconstruction.parameters.material(), cloth.stencils
     elastic = not any(isinstance(term, ElementTerm) for term in given.terms)
 
@@ -97,12 +100,14 @@ def residual_force(reconstruction: Reconstruction, trajectory: Tensor) -> OutOfB
         if not given.terms:
             return internal_forces(positions)
         x = trajectory.reshape(scene.n_frames, -1, 3)
-        velocities = (x[2:] - x[:-2]) / (2 * frame_time)
-        step = frame_time / reconstruction.substeps
+        if scene.times is None:
+            velocities = (x[2:] - x[:-2]) / (2 * interval)
+        else:
+            velocities = torch.gradient(x, spacing=(times,), dim=0)[0][1:-1]
         forces = []
         for frame, (at, velocity) in enumerate(zip(x[1:-1], velocities, strict=True), 1):
             now = StepContext(
-                cloth, material, at - step * velocity, velocity, frame * frame_time, step, at[cloth.held]
+                cloth, material, at - step * velocity, velocity, float(times[frame]), step, at[cloth.held]
             )
             # Where terms change the elements, this is the elastic force, too.
             forces.append(term_forces(given.terms, now, at).detach())
@@ -116,7 +121,7 @@ def residual_force(reconstruction: Reconstruction, trajectory: Tensor) -> OutOfB
         masses=cloth.masses.reshape(scene.grid),
         internal_forces=with_terms,
         external_forces=forces.reshape(-1, *scene.grid, 3),
-        frame_time=frame_time,
+        frame_time=interval if scene.times is None else times.diff(),
         gravity=scene.gravity,
         held_vertices=scene.held_vertices,
     )
@@ -155,6 +160,7 @@ def write_motion(folder: RunFolder, module: FitModule, trajectory: Tensor) -> No
         folder,
         trajectory.numpy(),
         fps=scene.fps,
+        times=scene.times,
         parameters=fitted_parameters(reconstruction),
         faces=reconstruction.faces.numpy(),
         intrinsics=[[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]],

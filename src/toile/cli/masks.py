@@ -16,18 +16,22 @@ from rich.text import Text
 from toile.atomic_file import written_atomically
 from toile.cli.configuration import instantiate
 from toile.cli.terminal import console, print_path
+from toile.errors import InputError
 from toile.reports.mask_pictures import mask_picture, rulers
 from toile.reports.overlay import Picture, write_video
 from toile.scenes.atomic_folder import entries_written_atomically
 from toile.scenes.findings import Finding, Severity
+from toile.scenes.frame_times import check_number_of_frames
 from toile.scenes.images import read_mask, read_rgb, write_levels
 from toile.scenes.native import FILES
+from toile.scenes.picture_checks import PictureChecks
 from toile.scenes.segmentation.base import Segmentation, Segmented
 from toile.scenes.segmentation.checks import MaskMeasures, check_sequence
-from toile.scenes.segmentation.writing import DESCRIPTION, FOLDERS, write_frames
-from toile.scenes.video import open_clip
+from toile.scenes.segmentation.writing import FOLDERS, write_frames
+from toile.scenes.video import DESCRIPTION, open_clip
 
 PREVIEW = "masks.mp4"
+TIMES = ("recorded", "uniform")
 NAMES = (*FOLDERS, DESCRIPTION, PREVIEW, "masks.gif")
 """What a folder may hold from an earlier call; the last where no video encoder is found."""
 
@@ -37,6 +41,17 @@ def run(cfg: DictConfig) -> None:
     clip = open_clip(
         Path(str(cfg.video)), start=cfg.start, n_frames=cfg.n_frames, every=cfg.every, fps=cfg.fps
     )
+    if cfg.times not in TIMES:
+        raise InputError("No such choice", where="times", expected=" or ".join(TIMES), got=str(cfg.times))
+    if not 0 <= cfg.uniform_tolerance < 0.5:
+        raise InputError(
+            "Tolerance makes no sense",
+            where="uniform_tolerance",
+            expected="from 0 to below 0.5, where two instants would share a frame",
+            got=str(cfg.uniform_tolerance),
+        )
+    if cfg.times == "uniform":
+        clip = clip.evenly_spaced(cfg.uniform_tolerance)
     if cfg.still is not None:
         with closing(clip.frames()) as frames, written_atomically(Path(cfg.still)) as file:
             write_levels(file, rulers(next(frames)))
@@ -46,13 +61,21 @@ def run(cfg: DictConfig) -> None:
     method: Segmentation = instantiate(cfg.method)
     with entries_written_atomically(folder, NAMES, overwrite=cfg.overwrite) as new:
         segmented = _with_progress(method.masks(clip.frames()), clip.expected_frames)
-        measures = write_frames(new, clip, segmented, _notes(cfg))
+        checks = PictureChecks(clip.expected_frames)
+        measures = write_frames(new, clip, segmented, _notes(cfg), checks)
         preview = write_video(_preview(new, measures, cfg.preview_height), new / PREVIEW, clip.fps)
     out = console()
-    findings = check_sequence(measures, cfg.largest_jump, str(folder))
-    for finding in [*findings, *_earlier_template(folder)]:
+    findings = [
+        *clip.remarks,
+        *check_number_of_frames(len(measures), str(folder)),
+        *checks.findings(str(folder)),
+        *check_sequence(measures, cfg.largest_jump, str(folder)),
+        *_earlier_template(folder),
+    ]
+    for finding in findings:
         out.print(Text(str(finding), style="yellow"))
-    out.print(f"{len(measures)} frames of {clip.width} x {clip.height} px, {clip.fps:g} per second")
+    mean = "" if clip.times is None else " on average, each with its own time in video.json"
+    out.print(f"{len(measures)} frames of {clip.width} x {clip.height} px, {clip.fps:g} per second{mean}")
     print_path(folder / DESCRIPTION)
     print_path(folder / preview.name)
 
@@ -97,7 +120,7 @@ def _notes(cfg: DictConfig) -> dict[str, Any]:
     method = _without_targets(OmegaConf.to_container(cfg.method, resolve=True))
     return {
         "method": HydraConfig.get().runtime.choices["method"],
-        "settings": {"start": cfg.start, "every": cfg.every, **method},
+        "settings": {"start": cfg.start, "every": cfg.every, "times": cfg.times, **method},
     }
 
 

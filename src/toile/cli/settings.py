@@ -37,6 +37,7 @@ COMMAND_SETTINGS: Mapping[str, Any] = {
     "force": bool,
     "simulator.substeps": Annotated[Count, Unit("per frame")] | None,
     "simulator.longest_substep": Annotated[Positive, Unit("s")],
+    "simulator.largest_time_error": Annotated[Positive, Unit("s")],
     "workers": Jobs,
     "n_frames": Frames | None,
     "start": Annotated[CountOrZero, Unit("frames")],

@@ -42,10 +42,12 @@ from toile.diagnosis.workers import ALONE, Workers
 from toile.effects.anchor_slip import AnchorSlip
 from toile.effects.base import BrightnessEffect, CameraEffect, Effect, ExposureEffect, MaskEffect
 from toile.effects.catalogue import STAGES
+from toile.errors import InputError
 from toile.evaluation.diagnosis_record import EffectReport, GapReport, Protocol, Where
 from toile.fitting.gauss_newton.recipe import TrackingRecipe
 from toile.fitting.lost_cloth import first_lost, outline_overlap
 from toile.fitting.reconstruction import Reconstruction
+from toile.scenes.scene import Scene
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -105,6 +107,20 @@ class DiagnosisSettings:
     seed: int = 0
 
 
+def _require_even_spacing(scene: Scene) -> None:
+    # Windows, ramps, effect columns and the held-out end all count frames as time.
+    if scene.times is None:
+        return
+    intervals = 1e3 * scene.times.diff()
+    raise InputError(
+        "A diagnosis needs evenly spaced frames",
+        where=str(scene.source or scene.name),
+        expected="one frame rate; 'toile masks ... times=uniform' chooses such frames from the clip, then "
+        "'toile template' again",
+        got=f"intervals of {float(intervals.min()):.4g} to {float(intervals.max()):.4g} ms",
+    )
+
+
 def diagnose(
     reconstruction: Reconstruction,
     recipe: TrackingRecipe,
@@ -127,7 +143,11 @@ def diagnose(
 
     Returns:
         The report; the caller writes it.
+
+    Raises:
+        InputError: the frames are unevenly spaced.
     """
+    _require_even_spacing(reconstruction.scene)
     torch.manual_seed(settings.seed)
     scene = reconstruction.scene
     n_frames = scene.n_frames

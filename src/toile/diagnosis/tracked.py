@@ -167,14 +167,14 @@ def track_once(
     tracking.start(reconstruction)
     n = tracking.n_cycles(reconstruction)
     n_coarse = TrackingRecipe({"coarse": first}).n_cycles(reconstruction)
-    p, sub = reconstruction.parameters, reconstruction.substeps
+    p, frame_steps = reconstruction.parameters, reconstruction.frame_steps
     forces, anchors = p.turbulence.detach().clone(), p.anchor_motion.detach().clone()
     early = positions = reconstruction.template.numpy()[None]
     for index in range(n):
         covered = tracking.cycle(reconstruction, index).n_frames
         motion = tracking.substep_positions()
         assert motion is not None
-        positions = motion[0, ::sub].numpy().copy()
+        positions = frame_steps.at_frames(motion[0]).numpy().copy()
         if covered <= used and index < n_coarse:
             forces, anchors = p.turbulence.detach().clone(), p.anchor_motion.detach().clone()
         elif covered <= used:

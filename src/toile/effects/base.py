@@ -136,8 +136,9 @@ class Surroundings:
         cloth: see Cloth; N vertices on a grid.
         cloth_size: rest length of the sides along axis 0 and 1 [m].
         gravity: (3,) [m/s²].
-        fps: frames per second.
+        fps: frames per second, the mean where they are unevenly spaced.
         n_frames: F.
+        times: of the frames (F,) [s], the first 0; None where they are evenly spaced.
     """
 
     cloth: Cloth
@@ -145,9 +146,12 @@ class Surroundings:
     gravity: Tensor
     fps: float
     n_frames: int
+    times: Tensor | None = None
 
     def frame_times(self) -> Tensor:
         """Times of the frames (F,) [s]."""
+        if self.times is not None:
+            return self.times
         return torch.arange(self.n_frames, dtype=torch.float64) / self.fps
 
 
@@ -184,11 +188,11 @@ class AnchorEffect(Effect):
 
 
 class TimeEffect(Effect):
-    """Acts through the time between two frames."""
+    """Acts through the time between two frames; all of them scale like their mean."""
 
     @abstractmethod
     def frame_interval(self, interval: Tensor) -> Tensor:
-        """True time between frames () [s] for the nominal one."""
+        """True mean time between frames () [s] for the nominal one."""
 
 
 class CameraEffect(Effect):

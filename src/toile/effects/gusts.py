@@ -59,7 +59,7 @@ class Gusts(ForceEffect):
     def acceleration(self, times: Tensor, around: Surroundings) -> Tensor:
         """See ForceEffect."""
         amplitudes = self.values.reshape(2, -1)
-        length = (around.n_frames - 1) / around.fps
+        length = (around.n_frames - 1) / around.fps  # also where fps is a mean
         k = torch.arange(1, amplitudes.shape[1] + 1, dtype=torch.float64)
         modes = torch.cos(torch.pi * k * times[:, None] / length)
         return (modes @ amplitudes.T @ horizontal_axes(around.gravity))[:, None]

@@ -30,7 +30,7 @@ class Setting:
         cloth: with the changed masses.
         forces: of the frames 1 ... F-1, gravity included, (F-1, N, 3) [N].
         anchors: held positions (F, n_held, 3) [m].
-        frame_interval: true time between frames () [s].
+        frame_interval: true time between frames () [s], the mean where they are unevenly spaced.
         terms: for the simulator.
     """
 
@@ -106,7 +106,7 @@ def changed_anchors(effects: Sequence[Effect], around: Surroundings, anchors: Te
 
 
 def frame_interval(effects: Sequence[Effect], around: Surroundings) -> Tensor:
-    """True time between frames () [s]."""
+    """True time between frames () [s], the mean where they are unevenly spaced."""
     interval = torch.tensor(1 / around.fps, dtype=torch.float64)
     for effect in effects:
         if isinstance(effect, TimeEffect):

@@ -47,7 +47,7 @@ def out_of_balance_force(
     masses: Tensor,
     internal_forces: Callable[[Tensor], Tensor],
     external_forces: Tensor,
-    frame_time: float,
+    frame_time: float | Tensor,
     gravity: Tensor,
     held_vertices: tuple[int, ...] = (),
 ) -> OutOfBalanceForce:
@@ -57,10 +57,11 @@ def out_of_balance_force(
 
         r_t = M (x_{t+1} − 2 x_t + x_{t−1}) / Δt² − F_int(x_t) − F_ext,t
 
-    It vanishes up to the O(Δt²) error of the centred difference for physical motion. Forces of the holding
+    It vanishes up to the O(Δt²) error of the centred difference for physical motion. Where the times before
+    and after a frame differ, a_t is the second derivative of the parabola through the three positions, which
+    is wrong by a third of their difference times the third derivative of the motion. Forces of the holding
     hand are unknown, so held vertices are left out of every figure. The normalisation by the mean vertex
-    weight makes
-    grids and cloths comparable: 1 means that a vertex misses a force as large as its own weight.
+    weight makes grids and cloths comparable: 1 means that a vertex misses a force as large as its own weight.
 
     Args:
         positions: trajectory (F, H, W, 3) [m], F at least 3.
@@ -69,7 +70,7 @@ def out_of_balance_force(
             (n, H, W, 3) [N], that is −∂E/∂x of the summed elastic energies.
         external_forces: all other forces including gravity [N], broadcastable to (F - 2, H, W, 3): frames
             1 to F - 2.
-        frame_time: time Δt between two frames [s].
+        frame_time: time Δt between two frames [s], or all those times (F - 1,) where they differ.
         gravity: (3,) [m/s²]; only its magnitude is used, for the normalisation.
         held_vertices: flattened grid indices i * W + j to leave out.
 
@@ -80,7 +81,10 @@ def out_of_balance_force(
     x = positions.detach().cpu().double()
     if x.ndim != 4 or x.shape[-1] != 3 or x.shape[0] < 3:
         raise _bad("positions", "shape (F, H, W, 3) in metres with F >= 3", str(tuple(x.shape)))
-    if not frame_time > 0:
+    if isinstance(frame_time, Tensor):
+        if frame_time.shape != (len(x) - 1,) or not bool((frame_time > 0).all()):
+            raise _bad("frame_time", f"{len(x) - 1} positive numbers of seconds", str(frame_time.tolist()))
+    elif not frame_time > 0:
         raise _bad("frame_time", "a positive number of seconds", str(frame_time))
     m = masses.detach().cpu().double()
     if m.shape != x.shape[1:3]:
@@ -94,7 +98,11 @@ def out_of_balance_force(
         raise _bad("normalisation", "free vertices of positive mean weight m |g|", f"{mean_weight} N")
 
     inner = x[1:-1]
-    acceleration = (x[2:] - 2 * inner + x[:-2]) / frame_time**2
+    if isinstance(frame_time, Tensor):
+        speeds = x.diff(dim=0) / frame_time[:, None, None, None]
+        acceleration = 2 * speeds.diff(dim=0) / (frame_time[1:] + frame_time[:-1])[:, None, None, None]
+    else:
+        acceleration = (x[2:] - 2 * inner + x[:-2]) / frame_time**2
     internal = internal_forces(inner).detach().cpu().double()
     if internal.shape != inner.shape:
         raise _bad(

@@ -17,6 +17,7 @@ from toile.geometry.mesh import grid_faces
 from toile.rendering.base import Renderer
 from toile.scenes.scene import Scene
 from toile.simulators.base import Simulator
+from toile.simulators.frame_steps import FrameSteps
 from toile.simulators.rollout import Rollout, rollout
 
 
@@ -27,12 +28,13 @@ class Reconstruction:
         scene: see Scene; its ground truth is never read here.
         cloth: elements, rest shape and masses.
         make_simulator: builds the simulator from (cloth, sub-step [s]), and ``terms`` where there are any.
-        substeps: sub-steps per frame.
+        substeps: sub-steps per frame, or which lie between which frames where those are unevenly spaced.
         parameters: the unknowns.
         renderer: differentiable renderer.
         effects: what acts beside inertia, the three energies, gravity and wind; None for nothing.
 
     Attributes:
+        frame_steps: which sub-steps lie between which frames.
         simulator: without any effects.
         around: the clip as the effects know it.
     """
@@ -42,15 +44,15 @@ class Reconstruction:
         scene: Scene,
         cloth: Cloth,
         make_simulator: Callable[..., Simulator],
-        substeps: int,
+        substeps: int | FrameSteps,
         parameters: ClothParameters,
         renderer: Renderer,
         effects: FitEffects | None = None,
     ) -> None:
         self.scene = scene
         self.cloth = cloth
-        self.substeps = substeps
-        self.simulator = make_simulator(cloth, 1 / scene.fps / substeps)
+        self.frame_steps = _frame_steps(substeps, scene)
+        self.simulator = make_simulator(cloth, 1 / scene.fps / self.frame_steps.per_frame)
         self.parameters = parameters
         self.renderer = renderer
         self.faces = grid_faces(*scene.grid)
@@ -58,7 +60,9 @@ class Reconstruction:
         self.texture_coordinates = scene.texture_coordinates.reshape(-1, 2)
         self.gravity = scene.gravity.to(torch.float64)
         self.effects = effects or FitEffects()
-        self.around = Surroundings(cloth, scene.cloth_size, self.gravity, scene.fps, scene.n_frames)
+        self.around = Surroundings(
+            cloth, scene.cloth_size, self.gravity, scene.fps, scene.n_frames, scene.times
+        )
         self._make_simulator = make_simulator
 
     def setting(
@@ -89,7 +93,8 @@ class Reconstruction:
         same_time = not interval.requires_grad and float(interval) == nominal
         if given.cloth is self.cloth and same_time and not given.terms:
             return self.simulator
-        step = interval / self.substeps if interval.requires_grad else float(interval) / self.substeps
+        per_frame = self.frame_steps.per_frame
+        step = interval / per_frame if interval.requires_grad else float(interval) / per_frame
         terms = {"terms": given.terms} if given.terms else {}
         return self._make_simulator(given.cloth, step, **terms)
 
@@ -123,8 +128,19 @@ class Reconstruction:
             self.parameters.material(),
             self.forces(given, 0, n_frames - 1)[None],
             given.anchors[None, :n_frames],
-            self.substeps,
+            self.frame_steps.window(0, n_frames - 1),
             warm_start,
             linearize=linearize,
             throw=throw,
         )
+
+
+def _frame_steps(substeps: int | FrameSteps, scene: Scene) -> FrameSteps:
+    """The sub-steps of a scene; a number per frame means nothing where the frames are unevenly spaced."""
+    if isinstance(substeps, int):
+        if scene.times is not None:
+            raise ValueError("substeps: expected FrameSteps for a scene with times, got a number per frame")
+        return FrameSteps.regular(substeps, scene.n_frames)
+    if substeps.n_frames != scene.n_frames:
+        raise ValueError(f"substeps: expected {scene.n_frames} frames, got {substeps.n_frames}")
+    return substeps

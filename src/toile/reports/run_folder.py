@@ -137,6 +137,12 @@ class SavedTrajectory:
     image_size: tuple[int, int] | None = None
     gravity: npt.NDArray[np.float64] | None = None
 
+    @property
+    def uneven_times(self) -> npt.NDArray[np.float64] | None:
+        """The times where frames are unevenly spaced, else None."""
+        even = np.array_equal(self.times, np.arange(len(self.times)) / self.fps)
+        return None if even else self.times
+
 
 def create_run_folder(path: Path) -> RunFolder:
     """Make a run folder (parents included); an existing folder is used as it is.

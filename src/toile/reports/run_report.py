@@ -62,6 +62,7 @@ def result_page(run: RunFolder, scene: Scene, renderer: Renderer, n_pictures: in
         scene=scene.name,
         positions=positions,
         fps=trajectory.fps,
+        times=trajectory.uneven_times,
         evaluation=EvaluationResult.from_dict(metrics) if metrics else None,
         ground_truth=true_points(scene, len(positions)),
         error=error_field(positions, scene.ground_truth) or residual_field(drawn.residual),

@@ -8,6 +8,7 @@ from toile.scenes.findings import Finding, Severity, attempt, has_errors
 from toile.scenes.fitness import check_fit
 from toile.scenes.native import survey_native
 from toile.scenes.phi_sft import survey_phi_sft
+from toile.scenes.picture_checks import PictureChecks
 from toile.scenes.recording import Recording, assemble, check_image_contents
 from toile.scenes.registry import SceneLocation, find_scene
 from toile.scenes.texture_coordinates import from_file
@@ -44,13 +45,21 @@ def _diagnose(recording: Recording | None, findings: list[Finding]) -> list[Find
     findings = list(findings)
     if recording is not None:
         findings += [Finding(Severity.INFO, "Reading", recording.name, "-", note) for note in recording.notes]
+        checks = PictureChecks(len(recording.frame_paths))
         scene = attempt(
             findings,
-            lambda: assemble(recording, crop_margin=0, minimum_component=0.1, texture_coordinates=from_file),
+            lambda: assemble(
+                recording,
+                crop_margin=0,
+                minimum_component=0.1,
+                texture_coordinates=from_file,
+                checks=checks,
+            ),
         )
         if scene is not None:
             loading = scene.notes[len(recording.notes) :]
             findings += [Finding(Severity.INFO, "Loading", recording.name, "-", note) for note in loading]
             checked = check_scene(scene)
             findings += checked if has_errors(checked) else [*checked, *check_fit(scene)]
+            findings += checks.findings(str(recording.source))
     return sorted(dict.fromkeys(findings), key=lambda finding: _ORDER.index(finding.severity))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import TypeVar
@@ -10,6 +10,9 @@ from typing import TypeVar
 from toile.errors import InputError
 
 T = TypeVar("T")
+
+NAMED = 10
+"""Frames named in a message."""
 
 
 class Severity(StrEnum):
@@ -49,6 +52,12 @@ class Finding:
     def of_error(error: InputError) -> Finding:
         """The finding that records an exception raised by a loader."""
         return Finding(Severity.ERROR, error.what, error.where, error.expected, error.got)
+
+
+def named(frames: Sequence[int]) -> str:
+    """The first frames of a list for a message: "frames 3, 4 and 12 more"."""
+    more = f" and {len(frames) - NAMED} more" if len(frames) > NAMED else ""
+    return f"frame{'s' if len(frames) > 1 else ''} {', '.join(map(str, frames[:NAMED]))}{more}"
 
 
 def require(findings: Iterable[Finding]) -> tuple[Finding, ...]:

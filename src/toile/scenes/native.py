@@ -18,9 +18,11 @@ Keys of ``scene.json``:
 - ``gravity``: [m/s²]; ``cloth_size_m``: [along axis 0, along axis 1]; ``grid``: [H, W]
 - ``held_vertices``: indices i * W + j, may be empty
 - ``units``: a text that says "metres"
-- optional: ``id`` (name of the scene), ``convention`` (text for people), ``files`` (other paths for
-  "template", "texture", "rgb", "mask"), ``crop`` ([top, left]) and ``original_size`` ([height, width]) if the
-  images were cut from larger ones; ``K`` always belongs to the images in the folder.
+- optional: ``times`` (of the frames [s], increasing, the first 0; without it they are evenly spaced at
+  ``fps``, with it ``fps`` is the mean rate), ``id`` (name of the scene), ``convention`` (text for people),
+  ``files`` (other paths for "template", "texture", "rgb", "mask"), ``crop`` ([top, left]) and
+  ``original_size`` ([height, width]) if the images were cut from larger ones; ``K``
+  always belongs to the images in the folder.
 
 Everything is in the OpenCV camera frame (x right, y down, z forward, metres), so nothing is converted here.
 """
@@ -43,6 +45,7 @@ from toile.geometry.camera import Camera
 from toile.geometry.io import PolygonMesh, read_mesh, write_mesh, write_point_cloud
 from toile.scenes.atomic_folder import folder_written_atomically
 from toile.scenes.findings import Finding, Severity, attempt, has_errors, require
+from toile.scenes.frame_times import check_number_of_frames, check_spacing, check_times, settled
 from toile.scenes.images import numbered_files, read_rgb, write_image
 from toile.scenes.recording import ImageCheck, Recording, check_image_files, limited, to_scene
 from toile.scenes.scene import Scene
@@ -87,7 +90,7 @@ def load_native(
         crop_margin: crop to the bounding box of all masks plus this margin [px]; None keeps whole images.
         minimum_component: drop mask components smaller than this fraction of the largest; 0 keeps all.
         texture_coordinates: from_file, projected, or another function of that signature.
-        fps: replaces the file's frame rate.
+        fps: replaces the file's frame rate, and its times: the frames count as evenly spaced then.
         gravity: replaces the file's gravity [m/s²].
         held_vertices: replaces the file's held vertices.
 
@@ -100,6 +103,16 @@ def load_native(
     changes: dict[str, Any] = {"notes": (*recording.notes, *notes)}
     if fps is not None:
         changes["fps"] = float(fps)
+        if recording.times is not None:
+            changes["times"] = None
+            replaced = Finding(
+                Severity.WARNING,
+                "fps replaces the times of the frames",
+                f"{recording.source / 'scene.json'}: times",
+                "fps=null, with which they are used",
+                f"fps {fps:g}, frames taken as evenly spaced",
+            )
+            changes["notes"] = (*changes["notes"], str(replaced))
     if gravity is not None:
         changes["gravity"] = torch.tensor(list(gravity), dtype=torch.float64)
     if held_vertices is not None:
@@ -194,6 +207,14 @@ def survey_native(
         if size is not None:
             findings += check_images(frame_paths, mask_paths, size)
         findings += _surplus(folder, files, values["n_frames"])
+        findings += check_number_of_frames(values["n_frames"], str(path))
+    times, fps = values.get("times"), values.get("fps")
+    if times is not None and fps is not None and values.get("n_frames") is not None:
+        found = check_times(times, values["n_frames"], fps, str(path))
+        findings += found
+        if not has_errors(found):
+            times, fps = settled(times[: len(frame_paths) or None], fps)
+            findings += check_spacing(times, str(path))
 
     texture = attempt(findings, lambda: read_rgb(folder / files["texture"]))
     mesh = attempt(findings, lambda: read_mesh(folder / files["template"]))
@@ -229,12 +250,13 @@ def survey_native(
         texture_coordinates=coordinates,
         cloth_size=values["cloth_size_m"],
         gravity=torch.tensor(values["gravity"], dtype=torch.float64),
-        fps=values["fps"],
+        fps=fps or values["fps"],
         held_vertices=values["held_vertices"],
         true_vertices=true_vertices if true_vertices.is_file() else None,
         true_point_clouds=clouds or (),
         crop=values.get("crop") or (0, 0),
         original_size=values.get("original_size") or (camera.height, camera.width),
+        times=times,
     )
     return recording, findings
 
@@ -417,6 +439,7 @@ _OPTIONAL: dict[str, tuple[Callable[[Any], Any], str]] = {
     "crop": (_list_of(_count, 2), "[top, left] in px"),
     "original_size": (_list_of(_at_least(0), 2), "[height, width] in px"),
     "id": (str, "name of the scene"),
+    "times": (_list_of(_finite), "list of the frames' times in s, increasing, the first 0"),
 }
 
 
@@ -436,13 +459,16 @@ def _surplus(folder: Path, files: dict[str, str], n: int) -> list[Finding]:
     return findings
 
 
-def write_without_images(scene: Scene, folder: Path, n_frames: int) -> None:
+def write_without_images(
+    scene: Scene, folder: Path, n_frames: int, times: Sequence[float] | None = None
+) -> None:
     """Write ``scene.json``, the template and the texture into a folder that exists.
 
     Args:
         scene: the scene; its frames, masks and ground truth are not written.
         folder: target.
         n_frames: number of frames that are, or will be, in the folder.
+        times: of those frames [s]; None where they are evenly spaced.
     """
     H, W = scene.grid
     camera = scene.camera
@@ -450,6 +476,7 @@ def write_without_images(scene: Scene, folder: Path, n_frames: int) -> None:
         "id": scene.name,
         "fps": scene.fps,
         "n_frames": n_frames,
+        **({} if times is None else {"times": list(times)}),
         "image_size": [camera.height, camera.width],
         "K": [[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]],
         "gravity": scene.gravity.tolist(),
@@ -475,7 +502,8 @@ def write_without_images(scene: Scene, folder: Path, n_frames: int) -> None:
 
 
 def _write_files(scene: Scene, folder: Path) -> None:
-    write_without_images(scene, folder, scene.n_frames)
+    times = None if scene.times is None else scene.times.tolist()
+    write_without_images(scene, folder, scene.n_frames, times)
     for key, images in (("rgb", scene.frames), ("mask", scene.masks)):
         paths = _sequence(folder, FILES[key], scene.n_frames)
         paths[0].parent.mkdir()

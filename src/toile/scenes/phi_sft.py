@@ -37,6 +37,7 @@ from toile.geometry.camera import Camera
 from toile.geometry.io import read_mesh
 from toile.geometry.mesh import grid_faces
 from toile.scenes.findings import Finding, Severity, attempt, has_errors, require
+from toile.scenes.frame_times import check_number_of_frames
 from toile.scenes.images import numbered_files, read_rgb
 from toile.scenes.native import find_point_clouds, grid_texture_coordinates
 from toile.scenes.recording import ImageCheck, Recording, check_image_files, limited, to_scene
@@ -155,6 +156,7 @@ def survey_phi_sft(
         return None, findings
     n = attempt(findings, lambda: limited(len(sequences[0]), n_frames, str(still.folder)))
     frames, masks = (paths[:n] for paths in sequences)
+    findings += check_number_of_frames(len(sequences[0]), str(still.folder))
     findings += check_images(frames, masks, (still.camera.height, still.camera.width))
     if n is None or has_errors(findings):
         return None, findings

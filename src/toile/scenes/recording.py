@@ -16,6 +16,7 @@ from toile.geometry.io import read_point_cloud
 from toile.scenes.findings import Finding, Severity, attempt, require
 from toile.scenes.images import image_size, read_mask, read_rgb
 from toile.scenes.masks import Box, bounding_box, drop_small_components
+from toile.scenes.picture_checks import PictureChecks
 from toile.scenes.scene import GroundTruth, Scene
 from toile.scenes.texture_coordinates import Texturing
 from toile.scenes.validation import check_scene
@@ -39,13 +40,14 @@ class Recording:
         texture_coordinates: (H, W, 2), float32, v down.
         cloth_size: rest length of the two sides [m].
         gravity: (3,), float64 [m/s²].
-        fps: frames per second.
+        fps: frames per second, the mean where they are unevenly spaced.
         held_vertices: flattened grid indices.
         true_vertices: .npy file with (F, H, W, 3) [m], or None.
         true_point_clouds: one file per frame, or empty.
         crop: (top, left) of the images on disk in the original image [px].
         original_size: (height, width) of the original image [px].
         notes: what reading changed or found remarkable.
+        times: see Scene; of all frames or None.
     """
 
     name: str
@@ -65,6 +67,7 @@ class Recording:
     crop: tuple[int, int] = (0, 0)
     original_size: tuple[int, int] = (0, 0)
     notes: tuple[str, ...] = ()
+    times: tuple[float, ...] | None = None
 
 
 def limited(n_available: int, n_frames: int | None, where: str) -> int:
@@ -183,13 +186,15 @@ def to_scene(
     Raises:
         InputError: an unreadable image, an empty mask, or any error that validation.check_scene finds.
     """
+    checks = PictureChecks(len(recording.frame_paths))
     scene = assemble(
         recording,
         crop_margin=crop_margin,
         minimum_component=minimum_component,
         texture_coordinates=texture_coordinates,
+        checks=checks,
     )
-    remarks = require(check_scene(scene))
+    remarks = require([*check_scene(scene), *checks.findings(str(recording.source))])
     warnings = tuple(str(finding) for finding in remarks if finding.severity is Severity.WARNING)
     return replace(scene, notes=scene.notes + warnings)
 
@@ -200,6 +205,7 @@ def assemble(
     crop_margin: int | None,
     minimum_component: float,
     texture_coordinates: Texturing,
+    checks: PictureChecks | None = None,
 ) -> Scene:
     """Read the images of a recording, clean the masks and crop.
 
@@ -210,6 +216,7 @@ def assemble(
         crop_margin: crop to the bounding box of all masks plus this margin [px]; None keeps the whole image.
         minimum_component: drop mask components smaller than this fraction of the largest; 0 keeps all.
         texture_coordinates: chooses texture and coordinates; from_file or projected.
+        checks: looks at every whole frame and its mask.
 
     Raises:
         InputError: an unreadable image or ground truth, or an empty mask.
@@ -239,7 +246,12 @@ def assemble(
             torch.maximum(union, mask, out=union)
         box = bounding_box(union, crop_margin)
     first = read_rgb(recording.frame_paths[0])
-    images = [box.cut(first), *(box.cut(read_rgb(path)).clone() for path in recording.frame_paths[1:])]
+    images = []
+    for k, path in enumerate(recording.frame_paths):
+        frame = first if k == 0 else read_rgb(path)
+        if checks is not None:
+            checks.add(frame.numpy(), masks[k].numpy() > 0)
+        images.append(box.cut(frame) if k == 0 else box.cut(frame).clone())
     texture, coordinates = texture_coordinates(
         template=recording.template,
         camera=recording.camera,
@@ -265,4 +277,5 @@ def assemble(
         ground_truth=read_ground_truth(recording, len(images)),
         source=recording.source,
         notes=tuple(notes),
+        times=None if recording.times is None else torch.tensor(recording.times, dtype=torch.float64),
     )

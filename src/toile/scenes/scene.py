@@ -38,13 +38,14 @@ class Scene:
         template: vertex positions at frame 0 (H, W, 3) [m], float64, grid (row i, column j).
         cloth_size: rest length of the two sides [m], along grid axis 0 (i) and axis 1 (j).
         gravity: (3,) float64 [m/s²].
-        fps: frames per second.
+        fps: frames per second, the mean where they are unevenly spaced.
         held_vertices: flattened grid indices i * W + j of vertices held by something.
         crop: (top, left) of the crop in the original image [px].
         original_size: (height, width) of the original image [px].
         ground_truth: see GroundTruth, or None.
         source: folder the scene was read from, or None.
         notes: what the loader changed or found remarkable, for the doctor and the log.
+        times: of the frames (F,) float64 [s], the first 0; None where they are evenly spaced at ``fps``.
     """
 
     name: str
@@ -63,6 +64,7 @@ class Scene:
     ground_truth: GroundTruth | None = None
     source: Path | None = None
     notes: tuple[str, ...] = field(default_factory=tuple)
+    times: Tensor | None = None
 
     @property
     def n_frames(self) -> int:

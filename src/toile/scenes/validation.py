@@ -16,6 +16,7 @@ from torch import Tensor
 from toile.geometry.camera import Camera
 from toile.geometry.io import PolygonMesh
 from toile.scenes.findings import Finding, Severity, has_errors
+from toile.scenes.frame_times import check_times
 from toile.scenes.scene import GroundTruth, Scene
 
 FARTHEST_CLOTH = 50.0  # [m]; anything beyond is a template in millimetres or centimetres
@@ -30,6 +31,8 @@ def check_scene(scene: Scene) -> list[Finding]:
     findings += check_template(scene.template.reshape(-1, 3), grid, scene.cloth_size, where)
     findings += check_held_vertices(scene.held_vertices, grid, where)
     findings += check_timing(scene.fps, where)
+    if scene.times is not None:
+        findings += check_times(scene.times.tolist(), scene.n_frames, scene.fps, where)
     findings += check_masks(scene.masks, where)
     if has_errors(findings):
         return findings

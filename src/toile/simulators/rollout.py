@@ -10,6 +10,7 @@ from torch import Tensor
 from toile.cloth.material import Material
 from toile.cloth.state import State
 from toile.simulators.base import SimulationError, Simulator, StepResult, StepStatus
+from toile.simulators.frame_steps import FrameSteps
 
 
 @dataclass(frozen=True)
@@ -18,13 +19,13 @@ class Rollout:
 
     Attributes:
         positions: (B, F, N, 3) [m], frame 0 is the initial state.
-        substeps: sub-steps per frame.
-        all_positions: (B, (F-1)·substeps + 1, N, 3) [m], every sub-step, detached; a later warm start.
+        frame_steps: which sub-steps lie between which frames.
+        all_positions: (B, n + 1, N, 3) [m], after every one of n sub-steps, detached; a later warm start.
         steps: the step results, where they were asked for.
     """
 
     positions: Tensor
-    substeps: int
+    frame_steps: FrameSteps
     all_positions: Tensor
     steps: list[StepResult] = field(default_factory=list)
 
@@ -40,7 +41,7 @@ def rollout(
     material: Material,
     forces: Tensor,
     anchors: Tensor,
-    substeps: int,
+    substeps: int | FrameSteps,
     warm_start: Tensor | None = None,
     *,
     linearize: bool = False,
@@ -54,7 +55,7 @@ def rollout(
         material: stiffnesses (B,).
         forces: external force per frame 1 ... F-1, constant over its sub-steps, (B, F-1, N, 3) [N].
         anchors: positions of held vertices at every frame, (B, F, n_held, 3) [m]; linear in between.
-        substeps: sub-steps per frame.
+        substeps: sub-steps per frame, or which lie between which frames.
         warm_start: all_positions of an earlier, similar rollout; may be shorter.
         linearize: keep the derivatives of every step.
         throw: raise SimulationError where a step does not converge; otherwise its status tells.
@@ -64,17 +65,23 @@ def rollout(
         raise ValueError(
             f"anchors: expected {n_frames} frames as given by the forces, got {anchors.shape[1]}"
         )
+    frame_steps = FrameSteps.regular(substeps, n_frames) if isinstance(substeps, int) else substeps
+    if frame_steps.n_frames != n_frames:
+        raise ValueError(
+            f"substeps: expected {n_frames} frames as given by the forces, got {frame_steps.n_frames}"
+        )
     frames = [state.positions]
     every = [state.positions.detach()]
     steps: list[StepResult] = []
     correction: Tensor | None = None
     for frame in range(1, n_frames):
-        for sub in range(1, substeps + 1):
-            n = (frame - 1) * substeps + sub
-            fraction = sub / substeps
+        before, between = frame_steps.ends[frame - 1], frame_steps.between(frame - 1)
+        for sub in range(1, between + 1):
+            n = before + sub
+            fraction = sub / between
             target = (
                 anchors[:, frame]
-                if sub == substeps
+                if sub == between
                 else torch.lerp(anchors[:, frame - 1], anchors[:, frame], fraction)
             )
             guess = None
@@ -83,14 +90,14 @@ def rollout(
             result = simulator.step(state, material, forces[:, frame - 1], target, guess, linearize=linearize)
             state = result.state
             if throw and any(s is not StepStatus.CONVERGED for s in result.status):
-                raise SimulationError(_explain(frame, sub, substeps, result))
+                raise SimulationError(_explain(frame, sub, between, result))
             every.append(state.positions.detach())
             if guess is not None and warm_start is not None:
                 # The motion has moved away from the earlier one by about this much; so will the next step.
                 correction = every[-1] - warm_start[:, n]
             steps.append(result)
         frames.append(state.positions)
-    return Rollout(torch.stack(frames, 1), substeps, torch.stack(every, 1), steps)
+    return Rollout(torch.stack(frames, 1), frame_steps, torch.stack(every, 1), steps)
 
 
 def _explain(frame: int, sub: int, substeps: int, result: StepResult) -> str:

@@ -105,3 +105,15 @@ def test_external_forces_may_change_per_frame() -> None:
 def test_bad_input_is_named(positions: Tensor, changes: dict[str, object]) -> None:
     with pytest.raises(InputError, match="out-of-balance"):
         measure(positions, **changes)
+
+
+def test_unevenly_spaced_frames_of_a_fall() -> None:
+    """A parabola has no residual at any frame, and with one time between all frames it has."""
+    t = torch.tensor([0.0, 0.02, 0.04, 0.12, 0.2, 0.22], dtype=torch.float64)
+    x = rest() + 0.5 * GRAVITY * t[:, None, None, None] ** 2
+    weight = MASSES[..., None] * GRAVITY
+    assert measure(x, external_forces=weight, frame_time=t.diff()).maximum == pytest.approx(0.0, abs=1e-9)
+    assert measure(x, external_forces=weight, frame_time=float(t.diff().mean())).maximum > 0.5
+    for wrong in (t, -t.diff()):
+        with pytest.raises(InputError, match="out-of-balance"):
+            measure(x, external_forces=weight, frame_time=wrong)

@@ -157,3 +157,15 @@ def test_folders_that_are_no_run_are_refused(tmp_path: Path) -> None:
 def test_git_revision_outside_a_repository_is_unknown(tmp_path: Path) -> None:
     assert rf.current_git_revision(tmp_path) == "unknown"
     assert len(rf.current_git_revision()) >= 7
+
+
+def test_times_of_the_frames_are_kept(tmp_path: Path) -> None:
+    run = rf.create_run_folder(tmp_path / "run")
+    x = np.zeros((3, 2, 2, 3))
+    rf.write_trajectory(run, x, fps=20.0, times=[0.0, 0.02, 0.1])
+    saved = rf.read_trajectory(run)
+    assert saved.times is not None
+    assert saved.times.tolist() == [0.0, 0.02, 0.1]
+    assert "times" not in saved.parameters
+    rf.write_trajectory(run, x, fps=20.0)
+    assert rf.read_trajectory(run).times is None

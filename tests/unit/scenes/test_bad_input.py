@@ -289,7 +289,7 @@ def test_doctor_collects_many_at_once_with_errors_first(tiny_folder: Path) -> No
 def test_doctor_of_a_good_scene_has_nothing_but_information(tiny_folder: Path) -> None:
     findings = diagnose_folder(tiny_folder)
     assert findings
-    assert {f.severity for f in findings} == {Severity.INFO}
+    assert [f.what for f in findings if f.severity is not Severity.INFO] == ["Few frames"]
     assert any("Edge lengths" in f.what for f in findings)
 
 

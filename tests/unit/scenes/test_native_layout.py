@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import torch
 from torch import Tensor
 
 from toile.errors import InputError
+from toile.scenes.doctor import diagnose_folder
 from toile.scenes.findings import Severity
 from toile.scenes.images import write_image
 from toile.scenes.native import load_native, write_native
@@ -37,7 +39,7 @@ def test_loading_what_was_written_gives_the_same_scene(tiny_scene: Scene, tmp_pa
     folder = write_native(tiny_scene, tmp_path / "scene")
     loaded = load_native(folder, crop_margin=None)
     assert loaded.source == folder
-    assert loaded.notes == ()
+    assert ["Few frames" in note for note in loaded.notes] == [True]
     for field in fields(Scene):
         if field.name not in ("source", "notes"):
             assert_same(getattr(tiny_scene, field.name), getattr(loaded, field.name))
@@ -124,7 +126,7 @@ def test_projected_coordinates_make_frame_0_the_texture(tiny_scene: Scene, tmp_p
     assert torch.equal(given.texture_coordinates, off.texture_coordinates)
     assert any("disagree with the projected template" in note and "px" in note for note in given.notes)
     scene = load_native(folder, texture_coordinates=projected)
-    assert scene.notes == ()
+    assert ["Few frames" in note for note in scene.notes] == [True]
     assert torch.equal(scene.texture, tiny_scene.frames[0])
     size = torch.tensor([120.0, 80.0])
     top, left = scene.crop
@@ -179,3 +181,54 @@ def test_surplus_frames_are_noted(tiny_scene: Scene, tiny_folder: Path) -> None:
     scene = load_native(tiny_folder)
     assert scene.n_frames == 4
     assert any("rgb_004.png" in note for note in scene.notes)
+
+
+TIMES = (0.0, 0.02, 0.04, 0.12)
+
+
+@pytest.fixture
+def uneven_folder(tiny_scene: Scene, tmp_path: Path) -> Path:
+    """The tiny scene with frames 20, 20 and 80 ms apart."""
+    uneven = replace(tiny_scene, times=torch.tensor(TIMES, dtype=torch.float64), fps=25.0)
+    return write_native(uneven, tmp_path / "uneven")
+
+
+def test_times_are_kept(uneven_folder: Path) -> None:
+    scene = load_native(uneven_folder)
+    assert scene.times is not None
+    assert scene.times.tolist() == list(TIMES)
+    assert scene.fps == pytest.approx(25)
+    assert any("20 to 80 ms" in note for note in scene.notes)
+    assert any("unevenly spaced" in f.what for f in diagnose_folder(uneven_folder))
+
+
+def test_the_first_frames_have_their_own_rate(uneven_folder: Path) -> None:
+    """Those are evenly spaced at 50 per second, whatever the mean rate of the clip is."""
+    scene = load_native(uneven_folder, n_frames=3)
+    assert scene.times is None
+    assert scene.fps == pytest.approx(50)
+    assert not any("unevenly" in note for note in scene.notes)
+
+
+def test_a_rate_from_outside_replaces_the_times_and_says_so(uneven_folder: Path) -> None:
+    scene = load_native(uneven_folder, fps=30.0)
+    assert (scene.times, scene.fps) == (None, 30.0)
+    assert any("fps replaces the times" in note for note in scene.notes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"times": [0.0, 0.02, 0.04]}, "3 times for 4 frames"),
+        ({"times": [0.0, 0.04, 0.02, 0.12]}, "frame 1 at 0.04 s, frame 2 at 0.02 s"),
+        ({"times": [0.0, 0.02, "x", 0.12]}, "times"),
+        ({"times": 0.02}, "times"),
+        ({"fps": 240.0}, "fps 240"),
+    ],
+)
+def test_wrong_times_in_the_description(uneven_folder: Path, changes, named) -> None:
+    path = uneven_folder / "scene.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | changes))
+    with pytest.raises(InputError) as caught:
+        load_native(uneven_folder)
+    assert named in str(caught.value)

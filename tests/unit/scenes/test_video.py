@@ -12,6 +12,7 @@ import pytest
 from PIL import Image
 
 from toile.errors import InputError
+from toile.scenes import video as video_module
 from toile.scenes.video import open_clip
 
 # imageio-ffmpeg leaves the pipes of an ffmpeg that has ended to the garbage collector.
@@ -123,3 +124,101 @@ def test_a_start_beyond_the_end(request, kind) -> None:
 def test_settings_that_make_no_sense(video: Path, bad) -> None:
     with pytest.raises(InputError):
         open_clip(video, **bad)
+
+
+def with_times(target: Path, expression: str, n_frames: int = 16) -> Path:
+    """A clip of grey levels that rise by 10 whose frame N is at the time that the expression gives."""
+    ffmpeg = (imageio_ffmpeg.get_ffmpeg_exe(), "-loglevel", "error", "-f", "lavfi")
+    size = f"{WIDTH}x{HEIGHT}"
+    level = f"geq=lum='16+10*N':cb=128:cr=128,settb=1/90000,setpts='({expression})/TB'"
+    source = ("-i", f"color=black:size={size}:rate=50", "-frames:v", str(n_frames), "-vf", level)
+    written = ("-fps_mode", "passthrough", "-enc_time_base", "1/90000", "-pix_fmt", "yuv420p", target)
+    subprocess.run([*ffmpeg, *source, *written], check=True)
+    return target
+
+
+PHONE = "if(lt(N,8),0.02*N,0.16+0.08*(N-8))"
+
+
+@pytest.fixture(scope="module")
+def phone(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """8 frames at 20 ms, then 8 at 80 ms."""
+    return with_times(tmp_path_factory.mktemp("phone") / "phone.mp4", PHONE)
+
+
+PHONE_TIMES = [*(0.02 * np.arange(8)), *(0.16 + 0.08 * np.arange(8))]
+
+
+def test_frames_of_a_variable_rate_come_once_each_with_their_times(phone: Path) -> None:
+    clip = open_clip(phone)
+    np.testing.assert_allclose(clip.times, PHONE_TIMES, atol=1e-3)
+    frames = [frame.mean() for frame in clip.frames()]
+    assert len(frames) == clip.expected_frames == 16
+    # Every one is another picture: none was repeated.
+    assert (np.diff(frames) > 5).all()
+    assert clip.fps == pytest.approx(15 / 0.72)
+    assert any("unevenly spaced" in str(remark) for remark in clip.remarks)
+
+
+def test_chosen_frames_bring_their_times(phone: Path) -> None:
+    clip = open_clip(phone, start=6, every=3)
+    np.testing.assert_allclose(clip.times, [0, 0.12, 0.36, 0.6], atol=1e-3)
+    assert len(list(clip.frames())) == 4
+    # Frames that happen to be evenly spaced have a rate and no times.
+    first = open_clip(phone, n_frames=8)
+    assert (first.times, first.remarks) == (None, ())
+    assert first.fps == pytest.approx(50, rel=1e-4)
+    assert len(list(first.frames())) == 8
+
+
+def test_a_given_rate_replaces_the_times_and_says_so(phone: Path) -> None:
+    clip = open_clip(phone, fps=25)
+    assert (clip.fps, clip.times) == (25, None)
+    assert [remark.what for remark in clip.remarks] == ["fps replaces uneven time stamps"]
+    assert len(list(clip.frames())) == 16
+
+
+def test_a_constant_rate_gives_no_times_however_the_container_rounds(tmp_path: Path) -> None:
+    """Matroska counts milliseconds, so frames at 60 per second are 16 or 17 of them apart."""
+    for name in ("even.mkv", "even.mp4"):
+        clip = open_clip(with_times(tmp_path / name, "N/60", 30))
+        assert (clip.times, clip.remarks) == (None, ()), name
+        assert clip.fps == pytest.approx(60, rel=5e-3)
+
+
+def test_a_dropped_frame_is_told_from_another_rate(phone: Path, tmp_path: Path) -> None:
+    dropped = open_clip(with_times(tmp_path / "dropped.mp4", "(N+gte(N,6)+gte(N,11))/50"))
+    found = {remark.what: remark for remark in dropped.remarks}
+    assert "frames 5, 10" in found["Frames are missing"].where
+    assert "2 frames were dropped" in found["Frames are missing"].got
+    assert not any(remark.what == "Frames are missing" for remark in open_clip(phone).remarks)
+
+
+@pytest.mark.parametrize(
+    ("stamps", "got"), [([0.0, 0.02, 0.02, 0.06], "after 0.02 s"), ([0.0, None, 0.04], "1 of 3 missing")]
+)
+def test_broken_time_stamps(video: Path, monkeypatch: pytest.MonkeyPatch, stamps, got) -> None:
+    monkeypatch.setattr(video_module, "_time_stamps", lambda path, stop: (stamps, 1e-3))
+    with pytest.raises(InputError, match="broken") as caught:
+        open_clip(video)
+    assert got in caught.value.got
+    assert "fps=" in caught.value.expected
+    assert open_clip(video, fps=30).fps == 30
+
+
+def test_evenly_spaced_frames_of_an_uneven_clip(phone: Path) -> None:
+    clip = open_clip(phone).evenly_spaced(0.1)
+    levels = [frame.mean() for frame in open_clip(phone).frames()]
+    chosen = [frame.mean() for frame in clip.frames()]
+    np.testing.assert_allclose(chosen, [levels[k] for k in (0, 4, *range(8, 16))])
+    assert (clip.times, clip.fps) == (None, pytest.approx(12.5))
+    assert "10 of 16 frames, 6 left out" in clip.remarks[0].got
+
+
+def test_a_clip_filmed_upright_keeps_its_times(phone: Path, tmp_path: Path) -> None:
+    turned = tmp_path / "upright.mp4"
+    quiet = (imageio_ffmpeg.get_ffmpeg_exe(), "-loglevel", "error", "-display_rotation", "90")
+    subprocess.run([*quiet, "-i", phone, "-c", "copy", turned], check=True)
+    clip = open_clip(turned)
+    np.testing.assert_allclose(clip.times, PHONE_TIMES, atol=1e-3)
+    assert next(clip.frames()).shape == (WIDTH, HEIGHT, 3)

@@ -165,10 +165,11 @@ class TrackingRecipe(Recipe):
         assert self._term is not None
         if last > self._covered:
             self._extend(reconstruction.parameters, last)
-        substeps = reconstruction.substeps
+        frame_steps = reconstruction.frame_steps
+        start, end = frame_steps.ends[first], frame_steps.ends[last] + 1
         warm = None
-        if self._positions is not None and len(self._positions) > first * substeps + 1:
-            warm = self._positions[first * substeps : last * substeps + 1]
+        if self._positions is not None and len(self._positions) > start + 1:
+            warm = self._positions[start:end]
         unknowns = WindowUnknowns(reconstruction, stage.priors, self._start_stiffness, first, last)
         visibility = None
         if stage.visibility and isinstance(self._term, TexturePointTerm):
@@ -187,8 +188,8 @@ class TrackingRecipe(Recipe):
         if self._positions is None or first == 0:
             before: list[Array] = []
         else:
-            before = [self._positions[: first * substeps]]
-        after = [] if self._positions is None else [self._positions[last * substeps + 1 :]]
+            before = [self._positions[:start]]
+        after = [] if self._positions is None else [self._positions[end:]]
         self._positions = np.concatenate([*before, result.positions, *after])
         self._covered = max(self._covered, last)
         if stage.settle:
@@ -201,7 +202,7 @@ class TrackingRecipe(Recipe):
             "conjugate_gradient_iterations": float(result.conjugate_gradients),
             "newton_iterations": float(result.newton),
         }
-        motion = torch.from_numpy(self._positions[: last * substeps + 1 : substeps])
+        motion = torch.from_numpy(frame_steps.at_frames(self._positions[:end]))
         return CycleReport(losses, last + 1, motion, tuple(result.notes))
 
     def with_heavier_silhouette(self, factor: float) -> TrackingRecipe | None:
@@ -240,7 +241,7 @@ class TrackingRecipe(Recipe):
         """Keep what the stage before has tracked, and prepare the parameters for the one that follows."""
         assert self._positions is not None
         if isinstance(following.term, PositionTermSettings) and self._tracked is None:
-            self._tracked = self._positions[:: reconstruction.substeps].copy()
+            self._tracked = reconstruction.frame_steps.at_frames(self._positions).copy()
         if following.discard_turbulence:
             with torch.no_grad():
                 reconstruction.parameters.turbulence.zero_()

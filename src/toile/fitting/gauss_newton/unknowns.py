@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 class Priors:
     """Standard deviations of the unknowns; None keeps an unknown fixed.
 
+    Frames are counted, however far apart they are.
+
     Attributes:
         turbulence: of each component of the turbulent acceleration [m/s²].
         turbulence_time: frames over which turbulence is correlated.

@@ -45,7 +45,7 @@ class WindowResult:
     Attributes:
         objective: J at the end.
         colour, mask: image term at the end, per frame.
-        positions: of all sub-steps of the window ((last - first)·substeps + 1, N, 3) [m].
+        positions: at the window's start and after all of its n sub-steps (n + 1, N, 3) [m].
         iterations: accepted Gauss-Newton iterations.
         conjugate_gradients: iterations of the linear solver, summed.
         newton: Newton iterations of the simulator, summed.
@@ -92,7 +92,7 @@ def state_at(reconstruction: Reconstruction, substep_positions: Array | None, fr
     if frame == 0 or substep_positions is None:
         return reconstruction.initial_state()
     simulator = reconstruction.simulator
-    index = frame * reconstruction.substeps
+    index = reconstruction.frame_steps.ends[frame]
     past = torch.from_numpy(
         np.stack([substep_positions[max(index - k, 0)] for k in range(simulator.n_past + 1)])
     )
@@ -131,6 +131,7 @@ def minimise_window(
         cg_tolerance: its residual relative to the gradient.
     """
     first = unknowns.first
+    frame_steps = reconstruction.frame_steps.window(first, unknowns.last)
     nominal = reconstruction.simulator
     newton = 0
 
@@ -157,7 +158,7 @@ def minimise_window(
             Material(stiffness[0], stiffness[1], stiffness[2]),
             torch.from_numpy(given.forces)[None],
             torch.from_numpy(anchors)[None],
-            reconstruction.substeps,
+            frame_steps,
             None if guess is None else torch.from_numpy(guess)[None],
             linearize=linearize,
             throw=False,

@@ -23,10 +23,11 @@ class ClothAnimation:
 
     Attributes:
         positions: (F, H, W, 3) [m], camera frame (x right, y down, z forward).
-        fps: frames per second.
+        fps: frames per second, the mean where they are unevenly spaced.
         texture_coordinates: (H, W, 2), u to the right and v down from the texture's top-left corner, or None.
         texture: image (h_t, w_t, 3) in [0, 1], row 0 on top, or None.
         name: name of the object in the exported file.
+        times: of the frames (F,) [s], increasing; None for frame f at f / fps. OBJ and PLY know no times.
     """
 
     positions: npt.NDArray[np.float64]
@@ -34,6 +35,7 @@ class ClothAnimation:
     texture_coordinates: npt.NDArray[np.floating] | None = None
     texture: npt.NDArray[np.floating] | None = None
     name: str = "cloth"
+    times: npt.NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         x = self.positions
@@ -45,6 +47,9 @@ class ClothAnimation:
             )
         if not self.fps > 0:
             raise _bad("fps", "a positive number", str(self.fps))
+        t = self.times
+        if t is not None and (t.shape != x.shape[:1] or not (np.diff(t) > 0).all()):
+            raise _bad("times", f"{len(x)} increasing numbers of seconds", str(t.tolist()))
         uv = self.texture_coordinates
         if uv is not None and uv.shape != (*x.shape[1:3], 2):
             raise _bad("texture_coordinates", f"shape {(*x.shape[1:3], 2)}", str(uv.shape))
@@ -56,6 +61,10 @@ class ClothAnimation:
     def n_frames(self) -> int:
         """Number of frames F."""
         return int(self.positions.shape[0])
+
+    def frame_times(self) -> npt.NDArray[np.float64]:
+        """Times of the frames (F,) [s]."""
+        return np.arange(self.n_frames) / self.fps if self.times is None else self.times
 
     @property
     def grid(self) -> tuple[int, int]:

@@ -113,7 +113,7 @@ def export_gltf(animation: ClothAnimation, path: Path, *, keep_camera_frame: boo
             for f in range(1, animation.n_frames)
         ]
         document["meshes"][0]["weights"] = [0.0] * n_targets
-        times = np.arange(animation.n_frames) / animation.fps
+        times = animation.frame_times()
         weights = np.eye(animation.n_frames, n_targets, k=-1)
         document["animations"] = [
             {

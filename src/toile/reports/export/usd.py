@@ -17,6 +17,8 @@ SUFFIXES = (".usd", ".usda", ".usdc")
 def export_usd(animation: ClothAnimation, path: Path, *, keep_camera_frame: bool = False) -> Path:
     """Write a USD stage with the motion as time samples, frame f at time code f; the texture goes beside it.
 
+    Frames that are unevenly spaced are at the time codes times · fps, which are no whole numbers then.
+
     The mesh has quads, vertex order i * W + j, no subdivision, both sides visible; metersPerUnit is 1,
     timeCodesPerSecond the frame rate, and the texture coordinates are ``primvars:st`` (v up).
 
@@ -38,7 +40,10 @@ def export_usd(animation: ClothAnimation, path: Path, *, keep_camera_frame: bool
     stage.SetTimeCodesPerSecond(animation.fps)
     stage.SetFramesPerSecond(animation.fps)
     stage.SetStartTimeCode(0)
-    stage.SetEndTimeCode(animation.n_frames - 1)
+    codes: list[float] = list(range(animation.n_frames))
+    if animation.times is not None:
+        codes = (animation.times * animation.fps).tolist()
+    stage.SetEndTimeCode(codes[-1])
 
     name = Tf.MakeValidIdentifier(animation.name)
     root = UsdGeom.Xform.Define(stage, f"/{name}")
@@ -51,9 +56,9 @@ def export_usd(animation: ClothAnimation, path: Path, *, keep_camera_frame: bool
     mesh.CreateDoubleSidedAttr(True)
     points, extent = mesh.CreatePointsAttr(), mesh.CreateExtentAttr()
     for f, vertices in enumerate(animation.vertices(keep_camera_frame).astype(np.float32)):
-        points.Set(Vt.Vec3fArray.FromNumpy(vertices), f)
+        points.Set(Vt.Vec3fArray.FromNumpy(vertices), codes[f])
         bounds = np.stack((vertices.min(axis=0), vertices.max(axis=0)))
-        extent.Set(Vt.Vec3fArray.FromNumpy(bounds), f)
+        extent.Set(Vt.Vec3fArray.FromNumpy(bounds), codes[f])
 
     uv = animation.uv(v_up=True)
     if uv is not None:

@@ -79,7 +79,7 @@ class ResultPage:
     Attributes:
         scene: name of the scene.
         positions: trajectory (F, H, W, 3) [m], camera frame.
-        fps: frames per second.
+        fps: frames per second, the mean where they are unevenly spaced.
         evaluation: metrics, or None where nothing is known of the truth.
         ground_truth: ground-truth points (N_f, 3) [m], one array per frame.
         error: on the cloth, or what stands in for it; colours the cloth.
@@ -93,6 +93,7 @@ class ResultPage:
         pictures: of a few frames, for print.
         facts: short facts by name, e.g. {"run time": "142 s", "simulator": "implicit"}.
         config: resolved configuration as text.
+        times: of the frames (F,) [s]; None where they are evenly spaced.
     """
 
     scene: str
@@ -111,6 +112,7 @@ class ResultPage:
     pictures: Sequence[PagePicture] = ()
     facts: Mapping[str, str] = field(default_factory=dict)
     config: str = ""
+    times: npt.NDArray[np.floating] | None = None
 
     def render(self) -> str:
         """The page as HTML text, self-contained."""
@@ -124,6 +126,7 @@ class ResultPage:
             ground_truth=self.ground_truth,
             fields=fields,
             upright=upright,
+            times=self.times,
         )
         error_title = "Error" if self.error is None else self.error.title
         body = [
@@ -149,8 +152,11 @@ class ResultPage:
 
     def _answer(self) -> str:
         F, H, W = self.positions.shape[:3]
+        rate = f"{self.fps:g} per second"
+        if self.times is not None:
+            rate = f"{self.fps:.4g} per second on average"
         what = (
-            f"{F} frames ({F / self.fps:.2g} s at {self.fps:g} per second) as a {H} × {W} cloth grid "
+            f"{F} frames ({F / self.fps:.2g} s at {rate}) as a {H} × {W} cloth grid "
             "in metres, from one video."
         )
         metric = self._headline()

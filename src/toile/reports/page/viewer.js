@@ -118,7 +118,7 @@ toile.startViewer = () => {
     current = f;
     slider.value = f;
     slider.setAttribute("aria-valuetext", `frame ${f} of ${n - 1}`);
-    clock.innerHTML = `frame ${f} <span>of ${n - 1}</span> · ${(f / fps).toFixed(2)} s`;
+    clock.innerHTML = `frame ${f} <span>of ${n - 1}</span> · ${(data.times ? data.times[f] : f / fps).toFixed(2)} s`;
     drawPicture(f);
     return Promise.all([drawSpace(f), ...catchUp(all)]);
   }

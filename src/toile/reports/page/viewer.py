@@ -49,6 +49,7 @@ def viewer(
     ground_truth: Sequence[npt.NDArray[np.floating]] | None,
     fields: Sequence[ClothField],
     upright: Upright,
+    times: npt.NDArray[np.floating] | None = None,
 ) -> str:
     """The viewer as HTML, with the data of everything that follows its slider.
 
@@ -60,6 +61,7 @@ def viewer(
         ground_truth: ground-truth points (N_f, 3) [m], one array per frame, or None.
         fields: maps of the page.
         upright: how those are turned.
+        times: of the frames (F,) [s], for the clock; None for frame f at f / fps. Playing is at ``fps``.
     """
     F, H, W = positions.shape[:3]
     clouds = None if ground_truth is None else [_thinned(c) for c in ground_truth]
@@ -68,6 +70,7 @@ def viewer(
         "rows": H,
         "columns": W,
         "fps": fps,
+        **({} if times is None else {"times": times.tolist()}),
         "wire_every": WIRE_EVERY,
         "towards_camera": TOWARDS_CAMERA,
         "positions": floats(positions),

@@ -8,11 +8,9 @@ from itertools import pairwise
 
 import torch
 
-from toile.scenes.findings import Finding, Severity
+from toile.scenes.findings import Finding, Severity, named
 from toile.scenes.masks import Box, bounding_box
 from toile.scenes.segmentation.cleaning import Mask
-
-NAMED = 10  # frames named in a message
 
 
 @dataclass(frozen=True)
@@ -54,7 +52,7 @@ def check_sequence(measures: Sequence[MaskMeasures], largest_jump: float, where:
             Finding(
                 Severity.WARNING,
                 "Mask jumps in area",
-                f"{where}: {_named(jumps)}",
+                f"{where}: {named(jumps)}",
                 f"areas within a factor {largest_jump:g} of the frame before",
                 f"from {areas[t - 1]} to {areas[t]} px at frame {t}",
             )
@@ -64,14 +62,9 @@ def check_sequence(measures: Sequence[MaskMeasures], largest_jump: float, where:
             Finding(
                 Severity.WARNING,
                 "Mask touches the border of the image",
-                f"{where}: {_named(cut_off)}",
+                f"{where}: {named(cut_off)}",
                 "a cloth that is fully visible",
                 f"{len(cut_off)} of {len(measures)} masks that do",
             )
         )
     return findings
-
-
-def _named(frames: list[int]) -> str:
-    more = f" and {len(frames) - NAMED} more" if len(frames) > NAMED else ""
-    return f"frame{'s' if len(frames) > 1 else ''} {', '.join(map(str, frames[:NAMED]))}{more}"

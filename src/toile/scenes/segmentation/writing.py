@@ -11,16 +11,20 @@ import numpy as np
 
 from toile.scenes.images import write_levels
 from toile.scenes.native import FILES
+from toile.scenes.picture_checks import PictureChecks
 from toile.scenes.segmentation.base import Segmented
 from toile.scenes.segmentation.checks import MaskMeasures, measure
-from toile.scenes.video import Clip
+from toile.scenes.video import DESCRIPTION, Clip
 
-DESCRIPTION = "video.json"
 FOLDERS = tuple(str(Path(FILES[key]).parent) for key in ("rgb", "mask"))
 
 
 def write_frames(
-    folder: Path, clip: Clip, segmented: Iterable[Segmented], notes: Mapping[str, Any]
+    folder: Path,
+    clip: Clip,
+    segmented: Iterable[Segmented],
+    notes: Mapping[str, Any],
+    checks: PictureChecks | None = None,
 ) -> list[MaskMeasures]:
     """Write rgbs/, masks/ and video.json into an existing folder.
 
@@ -28,7 +32,9 @@ def write_frames(
         folder: target.
         clip: where the frames come from.
         segmented: its frames with their masks, in order.
-        notes: what else video.json shall say, beside fps, width, height, frames and source (a file name).
+        notes: what else video.json shall say, beside fps, times (where frames are unevenly spaced), width,
+            height, frames and source (a file name).
+        checks: looks at every frame and mask.
 
     Returns:
         What the checks need to know of every mask.
@@ -40,8 +46,11 @@ def write_frames(
         write_levels(folder / (FILES["rgb"] % number), frame)
         write_levels(folder / (FILES["mask"] % number), np.where(mask, 255, 0).astype(np.uint8))
         measures.append(measure(mask))
+        if checks is not None:
+            checks.add(frame, mask)
     description = {
         "fps": clip.fps,
+        **({} if clip.times is None else {"times": list(clip.times)}),
         "width": clip.width,
         "height": clip.height,
         "frames": len(measures),

@@ -34,6 +34,7 @@ class MadeTemplate:
     Attributes:
         scene: with frame 0 and mask 0 only; its template, texture and held vertices are what was made.
         n_frames: frames in the folder.
+        times: of those frames [s]; None where they are evenly spaced.
         surface: the grid as it was laid, with distances to the input surface.
         edges: lengths (n,) [m] of the edges along axis 0 and along axis 1.
         shear: angles [degrees] by which the corners of the cells differ from a right angle.
@@ -43,6 +44,7 @@ class MadeTemplate:
 
     scene: Scene
     n_frames: int
+    times: tuple[float, ...] | None
     surface: SurfaceGrid
     edges: tuple[Floats, Floats]
     shear: Floats
@@ -91,6 +93,7 @@ def make_template(
     held = upper if held_vertices is None else tuple(int(k) for k in held_vertices)
     require(check_held_vertices(held, layout.grid, "settings"))
     found = [
+        *still.remarks,
         *check_template(positions.reshape(-1, 3), layout.grid, cloth_size, "surface"),
         *_check_size(measured),
     ]
@@ -116,7 +119,14 @@ def make_template(
     found += require([*_check_overlap(iou, minimum_iou), *_check_facing(scene), *_check_border(still)])
     warnings = dict.fromkeys(f for f in found if f.severity is Severity.WARNING)
     return MadeTemplate(
-        scene, still.n_frames, laid, (edges[0], edges[1]), _shear(laid.positions), iou, tuple(warnings)
+        scene,
+        still.n_frames,
+        still.times,
+        laid,
+        (edges[0], edges[1]),
+        _shear(laid.positions),
+        iou,
+        tuple(warnings),
     )
 
 

@@ -11,7 +11,8 @@ from torch import Tensor
 
 from toile.errors import InputError
 from toile.geometry.camera import Camera
-from toile.scenes.findings import require
+from toile.scenes.findings import Finding, Severity, require
+from toile.scenes.frame_times import check_spacing, check_times
 from toile.scenes.images import numbered_files, read_mask, read_rgb
 from toile.scenes.masks import drop_small_components
 from toile.scenes.native import FILES
@@ -30,8 +31,10 @@ class Still:
         frame: frame 0 (h, w, 3), float32 in [0, 1].
         mask: mask 0 (h, w), float32, 0 or 1, holes filled, the largest components only.
         camera: of the images.
-        fps: frames per second.
+        fps: frames per second, the mean where they are unevenly spaced.
         n_frames: frames that have a mask.
+        times: of the frames [s], the first 0; None where they are evenly spaced.
+        remarks: warnings about them.
     """
 
     folder: Path
@@ -40,6 +43,8 @@ class Still:
     camera: Camera
     fps: float
     n_frames: int
+    times: tuple[float, ...] | None = None
+    remarks: tuple[Finding, ...] = ()
 
 
 def read_still(folder: Path, intrinsics: Intrinsics, *, fps: float | None, minimum_component: float) -> Still:
@@ -49,7 +54,7 @@ def read_still(folder: Path, intrinsics: Intrinsics, *, fps: float | None, minim
         folder: holds ``rgbs/rgb_000.png ...``, ``masks/mask_000.png ...`` and, unless ``fps`` is given,
             ``video.json`` with "fps".
         intrinsics: of the camera.
-        fps: frames per second; None for what ``video.json`` says.
+        fps: frames per second, evenly spaced; None for what ``video.json`` says, its times included.
         minimum_component: drop mask components smaller than this fraction of the largest.
 
     Raises:
@@ -77,7 +82,36 @@ def read_still(folder: Path, intrinsics: Intrinsics, *, fps: float | None, minim
     camera = intrinsics.camera(size, str(folder))
     require(check_camera(camera, "camera"))
     rate = _frame_rate(folder, fps, size)
-    return Still(folder, frame, filled, camera, rate, _count_frames(folder))
+    n_frames = _count_frames(folder)
+    times, remarks = _times(folder, n_frames, rate, replaced=fps is not None)
+    return Still(folder, frame, filled, camera, rate, n_frames, times, remarks)
+
+
+def _times(
+    folder: Path, n_frames: int, fps: float, *, replaced: bool
+) -> tuple[tuple[float, ...] | None, tuple[Finding, ...]]:
+    """Times of the frames by the video's description, or None, and warnings."""
+    path = folder / VIDEO
+    try:
+        given = json.loads(path.read_text()).get("times") if path.is_file() else None
+        times = None if given is None else tuple(float(t) for t in given)
+    except (ValueError, TypeError, AttributeError) as error:
+        if replaced:
+            return None, ()
+        raise InputError(
+            f"{VIDEO} cannot be understood",
+            where=f"{path}: times",
+            expected="a list of seconds, one per frame",
+            got=f"{type(error).__name__}: {error}",
+        ) from error
+    if times is None:
+        return None, ()
+    if replaced:
+        got = f"fps {fps:g}, frames taken as evenly spaced"
+        what, expected = "fps replaces the times of the frames", "scene.fps=null, with which they are used"
+        return None, (Finding(Severity.WARNING, what, f"{path}: times", expected, got),)
+    require(check_times(times, n_frames, fps, str(path)))
+    return times, tuple(check_spacing(times, str(path)))
 
 
 def _frame_rate(folder: Path, fps: float | None, size: tuple[int, int]) -> float:

@@ -37,7 +37,7 @@ def write_template(made: MadeTemplate, folder: Path, *, overwrite: bool = False)
     require_no_template(folder, overwrite=overwrite)
     scratch = Path(tempfile.mkdtemp(prefix=".template.", dir=folder))
     try:
-        write_without_images(made.scene, scratch, made.n_frames)
+        write_without_images(made.scene, scratch, made.n_frames, made.times)
         (folder / DESCRIPTION).unlink(missing_ok=True)
         for name in (FILES["template"], FILES["texture"], DESCRIPTION):
             os.replace(scratch / name, folder / name)

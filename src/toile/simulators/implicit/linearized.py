@@ -63,14 +63,15 @@ class LinearizedRollout:
         self, simulator: LinearizableSimulator, rollout: Rollout, scene: int = 0, start: State | None = None
     ) -> None:
         self.simulator = simulator
-        self.substeps = rollout.substeps
+        self.frame_steps = rollout.frame_steps
+        self._intervals = rollout.frame_steps.intervals()
         self.steps: list[Linearization] = [step.linearization[scene] for step in rollout.steps]
         if not self.steps or any(step is None for step in self.steps):
             raise ValueError("expected a rollout made with linearize=True whose every step is finite")
         # A window may begin at a state with a past of its own. That past is fixed then, and the derivatives
         # with respect to the initial positions and velocities treat it as a straight line.
         first = rollout.steps[0].state.steps - 1
-        self.n_frames = len(self.steps) // rollout.substeps + 1
+        self.n_frames = rollout.frame_steps.n_frames
         self.n_vertices = simulator.cloth.n_vertices
         self._coefficients = [
             simulator.integrator.formula(first + step).prediction for step in range(len(self.steps))
@@ -95,10 +96,11 @@ class LinearizedRollout:
 
     def tangent(self, change: Perturbation) -> Array:
         """Change of the frame positions (F, N, 3) for a change of the inputs, to first order."""
-        return self.substep_tangent(change)[:: self.substeps]
+        frames: Array = self.frame_steps.at_frames(self.substep_tangent(change))
+        return frames
 
     def substep_tangent(self, change: Perturbation) -> Array:
-        """Change of every sub-step's positions, ((F-1)·substeps + 1, N, 3), like Rollout.all_positions."""
+        """Change of every sub-step's positions, (n + 1, N, 3), like Rollout.all_positions."""
         assembly = self.simulator.assembly
         free, held = assembly.free, assembly.held
         start = change.positions.copy()
@@ -107,14 +109,14 @@ class LinearizedRollout:
         every = [start]
         moving = bool(np.any(change.anchors))
         for n, step in enumerate(self.steps):
-            frame, sub = n // self.substeps, n % self.substeps + 1
+            frame, sub = self._intervals[n]
             right = change.forces[frame] - np.tensordot(change.stiffness, step.unit_gradients, 1)
             if len(change.inertia):
                 right -= change.inertia[:, None] * self._imbalance[n]
             prediction = sum(c * x for c, x in zip(self._coefficients[n], history, strict=True))
             right += step.inertia[:, None] * prediction
             if moving:
-                fraction = sub / self.substeps
+                fraction = sub / self.frame_steps.between(frame)
                 anchor = (1 - fraction) * change.anchors[frame] + fraction * change.anchors[frame + 1]
                 right -= (anchor.reshape(-1) @ step.coupling).reshape(-1, 3)
             if step.memory is not None:
@@ -155,9 +157,10 @@ class LinearizedRollout:
         pending = [np.zeros((n, 3)) for _ in range(k)]
         for index in range(len(self.steps) - 1, -1, -1):
             step = self.steps[index]
-            frame, sub = index // self.substeps, index % self.substeps + 1
+            frame, sub = self._intervals[index]
+            between = self.frame_steps.between(frame)
             g = pending.pop(0)
-            if sub == self.substeps:
+            if sub == between:
                 g = g + gradient[frame + 1]
             adjoint = assembly.from_band(step.factor.solve(assembly.to_band(g * free)))
             to.forces[frame] += adjoint
@@ -177,7 +180,7 @@ class LinearizedRollout:
                         pending[i] = pending[i] + d / self._h * to_velocity
                 else:
                     to.velocities += to_velocity * free
-            fraction = sub / self.substeps
+            fraction = sub / between
             to.anchors[frame] += (1 - fraction) * anchor
             to.anchors[frame + 1] += fraction * anchor
             to_prediction = step.inertia[:, None] * adjoint

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 import io
 
 import imageio.v3 as iio
@@ -73,3 +74,9 @@ def test_every_format_takes_a_single_frame_without_texture(name: str, tmp_path) 
 def test_unknown_format_lists_the_known_ones(animation: ClothAnimation, tmp_path) -> None:
     with pytest.raises(InputError, match="obj, ply, glb, usd"):
         export_animation(animation, tmp_path, "abc")
+
+
+@pytest.mark.parametrize("times", [[0.0, 0.1], [0.0, 0.2, 0.1]])
+def test_times_that_fit_no_frames(animation: ClothAnimation, times: list[float]) -> None:
+    with pytest.raises(InputError, match="cannot be exported"):
+        dataclasses.replace(animation, times=np.array(times))

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import struct
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -100,3 +101,10 @@ def test_single_frame_has_no_animation(tmp_path: Path) -> None:
     assert "animations" not in document
     assert "targets" not in document["meshes"][0]["primitives"][0]
     assert "images" not in document
+
+
+def test_unevenly_spaced_frames_are_at_their_times(animation: ClothAnimation, tmp_path: Path) -> None:
+    uneven = replace(animation, fps=20.0, times=np.array([0.0, 0.02, 0.1]))
+    document, binary = parse(export_gltf(uneven, tmp_path / "cloth.glb"))
+    times = array(document, binary, document["animations"][0]["samplers"][0]["input"])[:, 0]
+    np.testing.assert_allclose(times, uneven.times, atol=1e-7)

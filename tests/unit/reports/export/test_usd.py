@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -51,3 +52,14 @@ def test_material_finds_its_texture_beside_the_stage(animation: ClothAnimation, 
 def test_other_suffixes_are_refused(animation: ClothAnimation, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"\.usda"):
         export_usd(animation, tmp_path / "cloth.abc")
+
+
+def test_unevenly_spaced_frames_are_at_their_times(animation: ClothAnimation, tmp_path: Path) -> None:
+    uneven = replace(animation, fps=20.0, times=np.array([0.0, 0.02, 0.1]))
+    stage = Usd.Stage.Open(str(export_usd(uneven, tmp_path / "cloth.usda")))
+    assert stage.GetTimeCodesPerSecond() == 20.0
+    mesh = UsdGeom.Mesh(stage.GetDefaultPrim().GetChild("mesh"))
+    codes = mesh.GetPointsAttr().GetTimeSamples()
+    np.testing.assert_allclose(np.array(codes) / 20, uneven.times, atol=1e-12)
+    assert stage.GetEndTimeCode() == pytest.approx(2)
+    np.testing.assert_allclose(np.array(mesh.GetPointsAttr().Get(codes[1])), uneven.vertices()[1], atol=1e-6)
