@@ -16,7 +16,6 @@ from rich.text import Text
 from toile.atomic_file import written_atomically
 from toile.cli.configuration import instantiate
 from toile.cli.terminal import console, print_path
-from toile.errors import InputError
 from toile.reports.mask_pictures import mask_picture, rulers
 from toile.reports.overlay import Picture, write_video
 from toile.scenes.atomic_folder import entries_written_atomically
@@ -41,15 +40,6 @@ def run(cfg: DictConfig) -> None:
     clip = open_clip(
         Path(str(cfg.video)), start=cfg.start, n_frames=cfg.n_frames, every=cfg.every, fps=cfg.fps
     )
-    if cfg.times not in TIMES:
-        raise InputError("No such choice", where="times", expected=" or ".join(TIMES), got=str(cfg.times))
-    if not 0 <= cfg.uniform_tolerance < 0.5:
-        raise InputError(
-            "Tolerance makes no sense",
-            where="uniform_tolerance",
-            expected="from 0 to below 0.5, where two instants would share a frame",
-            got=str(cfg.uniform_tolerance),
-        )
     if cfg.times == "uniform":
         clip = clip.evenly_spaced(cfg.uniform_tolerance)
     if cfg.still is not None:

@@ -19,7 +19,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 from annotated_types import Ge, Gt, Le, Lt
 from hydra.utils import get_object
 from omegaconf import DictConfig, OmegaConf
-from pydantic import ConfigDict, TypeAdapter, ValidationError
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
 
 from toile.errors import InputError
@@ -43,6 +43,8 @@ COMMAND_SETTINGS: Mapping[str, Any] = {
     "start": Annotated[CountOrZero, Unit("frames")],
     "every": Frames,
     "fps": Annotated[Positive, Unit("1/s")] | None,
+    "times": Literal["recorded", "uniform"],
+    "uniform_tolerance": Annotated[float, Field(ge=0, lt=0.5), Unit("of the interval")],
     "largest_jump": Annotated[Positive, Unit("times")],
     "preview_height": Annotated[Count, Unit("px")],
     "overwrite": bool,

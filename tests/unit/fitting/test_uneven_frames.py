@@ -241,9 +241,6 @@ def test_settings_of_the_sub_steps(make: Make, caplog: pytest.LogCaptureFixture)
     with pytest.raises(InputError, match="evenly spaced frames") as caught:
         frame_steps(settings(substeps=3), scene)
     assert "10 to 40 ms" in caught.value.got
-    for wrong in ({"substeps": 0}, {"longest_substep": 0.0}, {"largest_time_error": -1e-3}):
-        with pytest.raises(InputError, match="make no sense"):
-            frame_steps(settings(**wrong), scene)
 
 
 def test_a_number_per_frame_means_nothing_for_uneven_frames(make: Make) -> None:

@@ -164,8 +164,10 @@ def test_times_of_the_frames_are_kept(tmp_path: Path) -> None:
     x = np.zeros((3, 2, 2, 3))
     rf.write_trajectory(run, x, fps=20.0, times=[0.0, 0.02, 0.1])
     saved = rf.read_trajectory(run)
-    assert saved.times is not None
-    assert saved.times.tolist() == [0.0, 0.02, 0.1]
+    assert saved.uneven_times is not None
+    assert saved.uneven_times.tolist() == [0.0, 0.02, 0.1]
     assert "times" not in saved.parameters
     rf.write_trajectory(run, x, fps=20.0)
-    assert rf.read_trajectory(run).times is None
+    saved = rf.read_trajectory(run)
+    assert saved.uneven_times is None
+    assert saved.times.tolist() == [0.0, 0.05, 0.1]
