@@ -190,7 +190,7 @@ class TrackingRecipe(Recipe):
             "newton_iterations": float(result.newton),
         }
         motion = torch.from_numpy(self._positions[: last * substeps + 1 : substeps])
-        return CycleReport(losses, last + 1, motion, tuple(result.notes))
+        return CycleReport(losses, last + 1, motion, tuple(result.notes), max(1, len(result.colour)))
 
     def substep_positions(self) -> Tensor | None:
         """See Recipe."""
