@@ -191,7 +191,7 @@ def _field_maps(
         }
     )
     plain(figure, NARROW_MAPS_HEIGHT if narrow else MAP_HEIGHT)
-    figure.update_layout(margin={"l": 34, "r": 4, "b": 96} if narrow else {"l": 4})
+    figure.update_layout(margin={"l": 46, "r": 4, "b": 96} if narrow else {"l": 4})
     return figure
 
 
