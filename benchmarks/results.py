@@ -202,6 +202,12 @@ def readme_section(table: pd.DataFrame, identification: str) -> str:
     return "\n\n".join(parts)
 
 
+def markdown(table: pd.DataFrame, floatfmt: str) -> str:
+    """A table for people: a dash where there is no number."""
+    known = table.astype(object).where(table.notna(), None)
+    return str(known.to_markdown(index=False, floatfmt=floatfmt, missingval="–"))
+
+
 def insert(file: Path, marker: str, text: str) -> None:
     """Replace what stands between the two markers."""
     start, end = f"<!-- {marker} -->", f"<!-- /{marker} -->"
@@ -244,13 +250,13 @@ def main() -> None:
     if not options.no_identification:
         found = identification_table(options.outputs.resolve())
         if len(found):
-            text = found.to_markdown(index=False, floatfmt=".4g")
+            text = markdown(found, ".4g")
             (docs / "identification.md").write_text(text + "\n")
             print(text)
     if options.variants:
         varied = variants_table(options.outputs.resolve())
         if len(varied):
-            text = varied.to_markdown(index=False, floatfmt=".3g")
+            text = markdown(varied, ".3g")
             (docs / "variants.md").write_text(text + "\n")
             print(text)
     identification = docs / "identification.md"

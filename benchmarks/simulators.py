@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
-from results import ROOT, fit, insert, machine, mean_of, toile
+from results import ROOT, fit, insert, machine, markdown, mean_of, toile
 
 # Name in the table and what selects it; the solver comes first, ratios are to it.
 CONTENDERS = {
@@ -94,7 +94,7 @@ def main() -> None:
     docs = ROOT / "docs" / "results"
     docs.mkdir(parents=True, exist_ok=True)
     table.to_csv(docs / "simulators.csv", index=False)
-    text = with_ratios(table).to_markdown(index=False, floatfmt=".3g")
+    text = markdown(with_ratios(table), ".3g")
     where = machine(ROOT / table.run.iloc[0] / "metrics.json")
     command = "`python benchmarks/simulators.py --seeds " + " ".join(map(str, options.seeds))
     command += " --track-only`" if options.track_only else "`"

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
-from results import ROOT, fit, machine, toile
+from results import ROOT, fit, machine, markdown, toile
 
 from toile.fitting.callbacks.chamfer import CHAMFER, COVERED, CYCLE
 from toile.reports.figures import save_figure, stability_curves
@@ -139,7 +139,7 @@ def write(
     table.to_csv(docs / "stability.csv", index=False)
     finished = [outputs / key / "metrics.json" for key in curves if (outputs / key / "metrics.json").exists()]
     where = machine(finished[0]) if finished else "an unfinished run"
-    text = pd.DataFrame(lines).to_markdown(index=False, floatfmt=".3g")
+    text = markdown(pd.DataFrame(lines), ".3g")
     head = (
         f"`make stability`, {scene}, on {where}. Chamfer unaligned, of all frames; Y, S, B in network units."
     )

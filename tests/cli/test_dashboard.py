@@ -43,6 +43,8 @@ def test_a_sweep_can_be_compared(swaying_scene: Scene, toile: Toile, tmp_path: P
         assert {"final metrics/text_summary", "configuration/text_summary"} <= set(events.Tags()["tensors"])
         assert (run / "chamfer.csv").is_file()
     assert [c.pop("seed") for c in found] == ["0", "1"]
+    # Whatever was asked for is a column, but for what has one and what leaves the result alone.
+    assert found[0]["asked for"] == "experiment=paper, optimization.cycles=2"
     assert found[0] == found[1]
     assert found[0]["scene"] == "swaying"
     assert found[0]["optimization"] == "adam"

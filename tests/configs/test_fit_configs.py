@@ -11,6 +11,7 @@ from hydra.errors import ConfigCompositionException
 from omegaconf import OmegaConf
 
 from toile.cli.configuration import CONF, register_resolvers
+from toile.reports.stiffness_note import stiffness_note
 
 _FILE = "toile.scenes.texture_coordinates.from_file"
 _TRACK = "optimization.stages.track"
@@ -162,6 +163,19 @@ def test_paper_experiment() -> None:
     regularization = "loss.force_regularization."
     assert [paper[regularization + k] for k in ("alpha", "beta", "gamma")] == [1e-2, 1e-3, 1e-2]
     assert paper[regularization + "reduction"] == "sum"
+
+
+def test_pages_know_what_the_stiffness_of_a_recipe_is_worth() -> None:
+    def note(*overrides: str) -> str:
+        cfg = compose("fit", ["scene=R1", *overrides])
+        return stiffness_note({"optimization": OmegaConf.to_container(cfg.optimization, resolve=False)})
+
+    for free in ((), ("optimization=adam",), ("experiment=paper",)):
+        assert "no measurement" in note(*free)
+        assert "optimization=identification measures it" in note(*free)
+    assert "a measurement where gravity and steady wind" in note("optimization=identification")
+    assert "was not fitted" in note("optimization.stages.calibrate=null")
+    assert "no measurement" not in note("optimization=adam", "optimization.learning_rates.turbulence=null")
 
 
 def test_the_first_pass_of_the_default_recipe_can_be_left_out() -> None:

@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 CONFIDENT = 0.9
 """Probability from which a wrong answer counts as confident."""
 FRAME_SCORE = 2.0
-"""Residual over the noise floor from which a frame counts as one that the effect acts in."""
+"""Score (Where.frames) from which a frame counts as one that the effect acts in."""
 
 
 @dataclass(frozen=True)

@@ -131,7 +131,7 @@ class Where:
 
     Attributes:
         stages: share of the gap by stage.
-        frames: score of every frame, residual over the noise floor.
+        frames: score of every frame, mean distance of base model and tracked motion over the clip's median.
         vertices: path, relative to the file, of an (H, W) array of scores (.npy), None if not written.
         regimes: score by regime, e.g. "slack".
     """

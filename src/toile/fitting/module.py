@@ -17,6 +17,8 @@ from toile.fitting.recipe import CycleReport, Recipe
 from toile.fitting.reconstruction import Reconstruction
 
 _STATE = "toile_fit"  # key in Lightning's checkpoint
+PER_FRAME = "loss per frame"
+"""Column of the history: the loss over the number of frames that it is a sum over."""
 _COUNTS = "_iterations"  # a recipe's numbers that are work, not losses, end like this
 
 
@@ -149,6 +151,8 @@ def row(
     terms = {name: float(value) for name, value in report.losses.items() if not name.endswith(_COUNTS)}
     # A recipe that minimises something else than the sum of its terms says so.
     result["loss"] = terms.pop("objective") if "objective" in terms else sum(terms.values())
+    # Windows grow while more frames are covered; a sum over them would look like divergence.
+    result[PER_FRAME] = result["loss"] / report.frames_in_loss
     for name, value in terms.items():
         result[f"loss {name}"] = value
     for name in ClothParameters.STIFFNESSES:

@@ -20,12 +20,14 @@ class CycleReport:
         n_frames: frames covered so far.
         positions: (n_frames, N, 3) [m], the motion after (or during) the cycle.
         notes: plain messages for the log.
+        frames_in_loss: frames that the objective is a sum over; 1 where it is a mean.
     """
 
     losses: dict[str, float]
     n_frames: int
     positions: Tensor
     notes: tuple[str, ...] = field(default_factory=tuple)
+    frames_in_loss: int = 1
 
 
 class Recipe(ABC):

@@ -19,7 +19,9 @@ FINAL_METRICS = {
     "final/silhouette_iou": "silhouette_iou",
 }
 """Tags of the numbers by which runs are compared, and the metric each comes from."""
-FIRST_CHOICES = ("scene", "optimization", "ablation", "simulator", "seed")
+ASKED_FOR = "asked for"
+"""Choice that holds all settings given on the command line, so that none that varies is hidden."""
+FIRST_CHOICES = ("scene", ASKED_FOR, "ablation", "simulator", "seed")
 """What sweeps usually go over; the others are a tick away."""
 FINAL_SECONDS = "final/seconds_of_the_fit"
 

@@ -78,7 +78,7 @@ class DiagnosisArrays:
 def gap_field(
     arrays: DiagnosisArrays, grid: tuple[int, int], without: tuple[int, ...] = ()
 ) -> ClothField | None:
-    """The gap of every frame [mm] on a grid, interpolated linearly; None where it was not written.
+    """Distance of base model and tracked cloth [mm] on a grid, linearly interpolated; None if not written.
 
     Args:
         arrays: with the gap on the model's grid.
@@ -95,9 +95,10 @@ def gap_field(
             values[frame] = np.nan
     note = (
         "Distance between the tracked cloth and the base model, which starts from the tracked motion and is "
-        "then left to itself for a few frames. Frames that were held out have none."
+        "then left to itself for a few frames. Errors of tracking are part of it: it is never zero, whatever "
+        "the answer. Frames that were held out have none."
     )
-    return ClothField("gap", "Gap", "mm", note, values)
+    return ClothField("gap", "Distance", "mm", note, values)
 
 
 def _between(n: int, m: int) -> npt.NDArray[np.float64]:

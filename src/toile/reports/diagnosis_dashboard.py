@@ -17,7 +17,15 @@ from toile.evaluation.diagnosis_record import Alias, EffectReport, Estimate, Gap
 from toile.reports.cloth_fields import Upright
 from toile.reports.dashboard import table
 from toile.reports.diagnosis_arrays import DiagnosisArrays
-from toile.reports.diagnosis_wording import answer, certainty, frame_ranges, percent, plain_name, shrinkage
+from toile.reports.diagnosis_wording import (
+    answer,
+    certainty,
+    change,
+    frame_ranges,
+    percent,
+    plain_name,
+    shrinkage,
+)
 from toile.reports.figures import STYLE
 from toile.reports.page.diagnosis_charts import alias_order
 from toile.reports.palette import ERROR_SCALE, FORCE_SCALE, INK, MUTED
@@ -29,8 +37,8 @@ def write_diagnosis_dashboard(
     """Add a diagnosis to a folder of TensorBoard events.
 
     Scalars are ``verdict/probability``, ``probability/<effect>``, ``log evidence/<effect>``,
-    ``shrink/<effect>``, ``stage/<stage>``, and over frames ``gap/over the noise floor`` and
-    ``gap/mean [mm]``; over passes ``base fit/cost``.
+    ``shrink/<effect>``, ``stage/<stage>``; over frames the distance of base model and tracked cloth,
+    ``distance/over its median`` and ``distance/mean [mm]``; over passes ``base fit/cost``.
 
     Args:
         folder: of the events.
@@ -53,14 +61,14 @@ def write_diagnosis_dashboard(
                 writer.add_scalar(f"shrink/{effect.name}", effect.shrink.estimate)
         for stage, share in report.where.stages.items():
             writer.add_scalar(f"stage/{stage}", share)
-        # A gap of exactly 0 in a frame that was held out was not measured.
+        # A distance of exactly 0 in a frame that was held out was not measured.
         unmeasured = set(report.protocol.frames_held_out)
         for frame, score in enumerate(report.where.frames):
             if score != 0 or frame not in unmeasured:
-                writer.add_scalar("gap/over the noise floor", score, frame)
+                writer.add_scalar("distance/over its median", score, frame)
         for frame, gap in enumerate([] if arrays.frames_vertices is None else arrays.frames_vertices):
             if gap.any() or frame not in unmeasured:
-                writer.add_scalar("gap/mean [mm]", 1e3 * float(gap.mean()), frame)
+                writer.add_scalar("distance/mean [mm]", 1e3 * float(gap.mean()), frame)
         if arrays.screening is not None:
             for name, value in arrays.screening.log_evidence.items():
                 if math.isfinite(value):
@@ -70,7 +78,7 @@ def write_diagnosis_dashboard(
         if len(report.alias.names) > 1:
             writer.add_figure("alias matrix", alias_figure(report.alias), close=False)
         if arrays.vertices is not None:
-            writer.add_figure("gap on the cloth", gap_figure(arrays.vertices, upright), close=False)
+            writer.add_figure("distance on the cloth", gap_figure(arrays.vertices, upright), close=False)
 
 
 def answer_text(report: GapReport) -> str:
@@ -137,7 +145,7 @@ def alias_figure(alias: Alias) -> Figure:
 
 
 def gap_figure(gap: npt.NDArray[np.float64], upright: Upright | None) -> Figure:
-    """The mean gap (h, w) [m] on the cloth, in millimetres."""
+    """Mean distance of base model and tracked cloth (h, w) [m], in millimetres."""
     shown = 1e3 * (gap if upright is None else upright(gap))
     with mpl.rc_context(STYLE):
         figure = _figure(4.6, 3.8)
@@ -145,7 +153,7 @@ def gap_figure(gap: npt.NDArray[np.float64], upright: Upright | None) -> Figure:
         image = axis.imshow(shown, cmap=_colours(ERROR_SCALE), vmin=0)
         axis.set_axis_off()
         axis.set_title(f"mean {shown.mean():.3g} mm, at most {shown.max():.3g} mm", color=MUTED)
-        figure.colorbar(image, ax=axis, label="gap [mm]").outline.set_visible(False)
+        figure.colorbar(image, ax=axis, label="distance [mm]").outline.set_visible(False)
     return figure
 
 
@@ -172,8 +180,8 @@ def _shrink(effect: EffectReport) -> str:
     s = effect.shrink
     if s is None:
         return "–"
-    placebo = "" if s.best_placebo is None else f", placebo {percent(s.best_placebo)}"
-    return f"{s.base:.3g} to {s.with_effect:.3g}, {percent(s.estimate)} less{placebo}"
+    placebo = "" if s.best_placebo is None else f", placebo {change(s.best_placebo)}"
+    return f"{s.base:.3g} to {s.with_effect:.3g}, {change(s.estimate)}{placebo}"
 
 
 def _plain(text: str) -> str:

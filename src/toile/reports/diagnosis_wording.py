@@ -9,7 +9,7 @@ from toile.effects.base import Stage
 from toile.evaluation.diagnosis_record import AMBIGUOUS, NONE, UNKNOWN, GapReport, Shrink
 
 _SPOKEN = {
-    NONE: "no gap at all",
+    NONE: "nothing at all",
     UNKNOWN: "something outside the catalogue",
     "contact": "contact with an obstacle",
     "focal_error": "a wrong focal length",
@@ -40,7 +40,7 @@ def spoken(name: str) -> str:
 
 def plain_name(name: str) -> str:
     """An effect's name without underscores."""
-    return {NONE: "no gap", UNKNOWN: "outside the catalogue"}.get(name, name.replace("_", " "))
+    return {NONE: "nothing missing", UNKNOWN: "outside the catalogue"}.get(name, name.replace("_", " "))
 
 
 def listed(names: Sequence[str], last: str) -> str:
@@ -57,13 +57,34 @@ def percent(share: float) -> str:
     return f"{100 * share:.0f} %".replace("-", "−")
 
 
+def amount(share: float) -> str:
+    """A share of an error as a percentage, below 1 % to a tenth; what rounds to nothing has no sign."""
+    text = f"{100 * share:.0f}" if abs(share) >= 0.0095 else f"{100 * share:.1f}"
+    return "0 %" if float(text) == 0 else f"{text} %".replace("-", "−")
+
+
+def change(less: float) -> str:
+    """How an error changes that falls by a share of itself: "−60 %", "+0.4 %", "no change"."""
+    text = amount(-less)
+    return "no change" if text == "0 %" else text if text.startswith("−") else f"+{text}"
+
+
+def change_between(low: float, high: float) -> str:
+    """The interval of ``change``: "−68 % to −52 %"; "" where both ends read alike."""
+    ends = [amount(-high), amount(-low)]
+    signed = [text if text.startswith("−") or text == "0 %" else f"+{text}" for text in ends]
+    return "" if ends[0] == ends[1] else " to ".join(signed)
+
+
 def answer(report: GapReport) -> str:
     """The answer in one sentence."""
     verdict = report.verdict
     if verdict.effect == NONE:
         # While others are in the set, nothing is all that one sees, and no more than that.
         alone = set(verdict.candidates) <= {NONE}
-        return "No gap: the model explains this clip." if alone else "No gap shows in this clip."
+        if alone:
+            return "No effect is missing: the model explains this clip."
+        return "No missing effect shows in this clip."
     if verdict.effect == UNKNOWN:
         return "The gap is real, and its cause is outside the catalogue."
     if verdict.effect == AMBIGUOUS:
@@ -81,7 +102,7 @@ def certainty(report: GapReport) -> str:
     verdict = report.verdict
     probability = percent(verdict.probability)
     stage = f"It acts in the {verdict.stage} stage." if verdict.stage in STAGES else ""
-    others = [plain_name(c) for c in verdict.candidates if c != verdict.effect]
+    others = [spoken(c) for c in verdict.candidates if c != verdict.effect]
     excluded = f" Not excluded: {listed(others, 'and')}." if others else ""
     if verdict.effect == NONE:
         return f"Probability {probability} that nothing is missing.{excluded}"
@@ -100,15 +121,22 @@ def certainty(report: GapReport) -> str:
 def shrinkage(shrink: Shrink) -> str:
     """How far the held-out error falls, and whether more than with a placebo."""
     what, unit = metric_and_unit(shrink.metric)
-    change = "falls" if shrink.estimate >= 0 else "grows"
-    numbers = f"from {shrink.base:.3g} to {shrink.with_effect:.3g} {unit}".strip()
-    less = "less" if shrink.estimate >= 0 else "more"
-    ends = sorted(abs(v) if shrink.low * shrink.high >= 0 else v for v in (shrink.low, shrink.high))
-    interval = f"{percent(abs(shrink.estimate))} {less} ({percent(ends[0])} to {percent(ends[1])})"
-    text = f"On {shrink.held_out}, which no fit has seen, the error ({what}) {change} {numbers}: {interval}"
+    seen = f"On {shrink.held_out}, which no fit has seen, the error ({what})"
+    by = amount(abs(shrink.estimate))
+    if by == "0 %":
+        text = f"{seen} stays at {shrink.base:.3g} {unit}".rstrip()
+    else:
+        falls = shrink.estimate >= 0
+        numbers = f"from {shrink.base:.3g} to {shrink.with_effect:.3g} {unit}".strip()
+        ends = sorted(abs(v) if shrink.low * shrink.high >= 0 else v for v in (shrink.low, shrink.high))
+        first, last = map(amount, ends)
+        between = "" if first == last else f" ({first} to {last})"
+        text = (
+            f"{seen} {'falls' if falls else 'grows'} {numbers}: {by} {'less' if falls else 'more'}{between}"
+        )
     if shrink.best_placebo is None:
         return f"{text}."
-    gain = percent(shrink.best_placebo)
+    gain = amount(shrink.best_placebo)
     if beats_placebo(shrink):
         return f"{text}; the best placebo reaches {gain}."
     return f"{text}. That is not clearly more than the best placebo's {gain}, so no shrinkage is claimed."

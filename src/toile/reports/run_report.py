@@ -13,6 +13,7 @@ import torch
 from PIL import Image
 from torch import Tensor
 
+from toile.errors import InputError
 from toile.evaluation.evaluate import EvaluationResult
 from toile.geometry.mesh import grid_faces
 from toile.rendering.base import Renderer
@@ -31,8 +32,12 @@ from toile.reports.run_folder import (
     read_metrics,
     read_trajectory,
 )
+from toile.reports.run_settings import read_settings
+from toile.reports.stiffness_note import stiffness_note
 from toile.scenes.scene import Scene
 
+SCENE_WARNINGS = "scene warnings"
+"""Key of metrics.json: what a check of the scene found, a list of sentences."""
 OBSERVED_SIZE, OTHER_SIZE = 520, 430
 """Longer side of the video's pictures in the page [px]; what is rendered has less detail to lose."""
 MAX_FRAMES_OF_ALL_VIEWS = 120
@@ -56,7 +61,11 @@ def result_page(run: RunFolder, scene: Scene, renderer: Renderer, n_pictures: in
     history = read_history(run) if run.history.is_file() else None
     columns = [] if history is None else numeric_columns(history)
     losses = [c for c in columns if c.startswith("loss")]
+    if "loss per frame" in losses:
+        # A sum over a window of frames grows with the window, which is no divergence.
+        losses.remove("loss")
     metrics = read_metrics(run) if run.metrics.is_file() else {}
+    config = read_config(run) if run.config.is_file() else ""
     drawn = Drawn(trajectory, scene, renderer, n_pictures)
     return ResultPage(
         scene=scene.name,
@@ -76,7 +85,9 @@ def result_page(run: RunFolder, scene: Scene, renderer: Renderer, n_pictures: in
         loss_columns=losses,
         pictures=drawn.pictures,
         facts=reported_facts(run, metrics),
-        config=read_config(run) if run.config.is_file() else "",
+        warnings=scene_warnings(metrics, run),
+        stiffness_note=stiffness_note(read_settings(config, str(run.config))) if config else "",
+        config=config,
     )
 
 
@@ -133,6 +144,23 @@ def reported_facts(run: RunFolder, metrics: Mapping[str, Any]) -> dict[str, str]
     if run.git_revision.is_file():
         facts["revision of the code"] = read_git_revision(run)
     return facts
+
+
+def scene_warnings(metrics: Mapping[str, Any], run: RunFolder) -> list[str]:
+    """What was found in the scene when it was fitted; none where nothing is noted.
+
+    Raises:
+        InputError: something else than a list of sentences stands there.
+    """
+    found = metrics.get(SCENE_WARNINGS, [])
+    if not isinstance(found, list) or not all(isinstance(line, str) for line in found):
+        raise InputError(
+            "A file of the run cannot be read",
+            where=f"{run.metrics}: {SCENE_WARNINGS}",
+            expected="a list of sentences",
+            got=repr(found)[:80],
+        )
+    return found
 
 
 class Drawn:

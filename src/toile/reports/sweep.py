@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -60,11 +60,27 @@ class Unfinished:
         folder: where it is.
         name: its path below the sweep's folder.
         reason: why, as far as that is known.
+        settings: its configuration as plain data, empty where it has none that can be read.
+        overrides: what was asked for on the command line, where that is known.
     """
 
     folder: RunFolder
     name: str
     reason: str
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    overrides: tuple[str, ...] = ()
+
+    @property
+    def scene(self) -> str:
+        """Name of the scene, "" where that is not known."""
+        scene = self.settings.get("scene")
+        name = scene.get("name") if isinstance(scene, Mapping) else None
+        return "" if name is None else Path(str(name)).name
+
+    @property
+    def asked_for(self) -> str:
+        """What was asked for, other than scene, seed and places."""
+        return ", ".join(_without_path(o) for o in self.overrides if not _shared(o))
 
 
 @dataclass(frozen=True)
@@ -89,6 +105,8 @@ class Sweep:
         runs: finished ones, by name.
         unfinished: the others.
         differences: settings in which the finished runs differ, other than scene and seed.
+        all_differences: the same with unfinished runs that have a configuration; values of the finished runs
+            come first, then those of all unfinished ones, "" where nothing is known.
         groups: the finished runs by those settings.
     """
 
@@ -96,6 +114,7 @@ class Sweep:
     runs: tuple[Run, ...]
     unfinished: tuple[Unfinished, ...]
     differences: tuple[Difference, ...]
+    all_differences: tuple[Difference, ...]
     groups: tuple[Group, ...]
 
     @property
@@ -127,24 +146,40 @@ def read_sweep(folders: Sequence[Path]) -> Sweep:
     common = folders[0].resolve() if len(folders) == 1 else Path(os.path.commonpath(list(found)))
     read = [_read(RunFolder(path), _name(path, common)) for path in sorted(found)]
     runs = tuple(r for r in read if isinstance(r, Run))
-    chosen = [d for d in differences([r.settings for r in runs]) if _is_choice(d, runs)]
+    unfinished = tuple(r for r in read if isinstance(r, Unfinished))
+    scenes = [r.evaluation.scene for r in runs]
+    chosen = [d for d in differences([r.settings for r in runs]) if _is_choice(d, scenes)]
     return Sweep(
         folder=common,
         runs=runs,
-        unfinished=tuple(r for r in read if isinstance(r, Unfinished)),
+        unfinished=unfinished,
         differences=tuple(chosen),
+        all_differences=_all_differences(runs, unfinished),
         groups=_groups(runs, chosen),
     )
 
 
-def _is_choice(difference: Difference, runs: Sequence[Run]) -> bool:
+def _all_differences(runs: Sequence[Run], unfinished: Sequence[Unfinished]) -> tuple[Difference, ...]:
+    """See Sweep.all_differences."""
+    known = [u for u in unfinished if u.settings]
+    scenes = [*(r.evaluation.scene for r in runs), *(u.scene for u in known)]
+    found = []
+    for d in differences([*(r.settings for r in runs), *(u.settings for u in known)]):
+        if _is_choice(d, scenes):
+            others = iter(d.values[len(runs) :])
+            values = [next(others) if u.settings else "" for u in unfinished]
+            found.append(replace(d, values=(*d.values[: len(runs)], *values)))
+    return tuple(found)
+
+
+def _is_choice(difference: Difference, scenes: Sequence[str]) -> bool:
     """Whether runs differ in it by choice: not the seed, the scene, or what goes with the scene."""
     path = difference.paths[0]
     if not path.startswith("scene."):
         return path != "seed"
     values: dict[str, set[str]] = {}
-    for run, value in zip(runs, difference.values, strict=True):
-        values.setdefault(run.evaluation.scene, set()).add(value)
+    for scene, value in zip(scenes, difference.values, strict=True):
+        values.setdefault(scene, set()).add(value)
     return path != "scene.name" and any(len(found) > 1 for found in values.values())
 
 
@@ -176,9 +211,9 @@ def _read(folder: RunFolder, name: str) -> Run | Unfinished:
     try:
         if folder.failure.is_file():
             text = folder.failure.read_text(encoding="utf-8", errors="replace").strip()
-            return Unfinished(folder, name, _last_words(text))
+            return _unfinished(folder, name, _last_words(text))
         if not folder.metrics.is_file():
-            return Unfinished(folder, name, UNFINISHED)
+            return _unfinished(folder, name, UNFINISHED)
         metrics = read_metrics(folder)
         evaluation = EvaluationResult.from_dict(metrics)
         settings = read_settings(read_config(folder), str(folder.config)) if folder.config.is_file() else {}
@@ -194,7 +229,16 @@ def _read(folder: RunFolder, name: str) -> Run | Unfinished:
             float(seconds) if isinstance(seconds, int | float) else None,
         )
     except InputError as error:
-        return Unfinished(folder, name, str(error))
+        return _unfinished(folder, name, str(error))
+
+
+def _unfinished(folder: RunFolder, name: str, reason: str) -> Unfinished:
+    """With its settings as far as they can be read; that they cannot is not why it has no result."""
+    try:
+        settings = read_settings(read_config(folder), str(folder.config))
+    except InputError:
+        settings = {}
+    return Unfinished(folder, name, reason, settings, _overrides(folder.path))
 
 
 def _last_words(text: str) -> str:

@@ -15,6 +15,7 @@ from toile.fitting.gauss_newton import conjugate_gradients
 from toile.fitting.gauss_newton.recipe import GrowingWindows, SlidingWindows, Stage, TrackingRecipe
 from toile.fitting.gauss_newton.unknowns import Priors, WindowUnknowns
 from toile.fitting.gauss_newton.window import minimise_window, state_at
+from toile.fitting.module import row
 from toile.fitting.reconstruction import Reconstruction
 from toile.fitting.scene_cloth import uniform
 from toile.fitting.terms.texture_points import PointTermSettings
@@ -140,6 +141,27 @@ def test_tracking_follows_the_motion(problem: Reconstruction) -> None:
     with torch.no_grad():
         again = problem.simulate(problem.scene.n_frames)
     assert torch.equal(again.positions[0], positions)
+
+
+def test_a_growing_window_does_not_look_like_divergence(problem: Reconstruction) -> None:
+    """The loss is a sum over the frames of the window; the history has it per frame."""
+    recipe = TrackingRecipe({"track": replace(stage(IMAGES, TURBULENCE), windows=GrowingWindows(1, 1, 1))})
+    torch.manual_seed(0)
+    recipe.start(problem)
+    rows, frames = [], []
+    for index in range(recipe.n_cycles(problem)):
+        report = recipe.cycle(problem, index)
+        rows.append(row(index, problem.parameters, report, 1.0))
+        frames.append(report.frames_in_loss)
+        # What is left is the prior's part.
+        assert rows[-1]["loss per frame"] >= rows[-1]["loss colour"] + rows[-1]["loss mask"]
+    assert frames == sorted(frames)
+    assert frames[0] < frames[-1]
+    assert [r["loss per frame"] * n for r, n in zip(rows, frames, strict=True)] == pytest.approx(
+        [r["loss"] for r in rows]
+    )
+    grown = [rows[-1][name] / rows[0][name] for name in ("loss", "loss per frame")]
+    assert grown[1] == pytest.approx(grown[0] * frames[0] / frames[-1])
 
 
 def hybrid(problem: Reconstruction) -> HybridSimulator:

@@ -72,6 +72,8 @@ def test_history_has_a_row_per_cycle(problem: MakeProblem, adam: MakeAdam) -> No
     last = module.history[-1]
     terms = [last[f"loss {name}"] for name in ("image", "silhouette", "force_regularization")]
     assert last["loss"] == pytest.approx(sum(terms))
+    # These terms are means over the frames already.
+    assert last["loss per frame"] == last["loss"]
     assert last["stretching [network units]"] == module.cloth_parameters.stretching.item()
     assert last["turbulence rms [m/s²]"] > 0
 

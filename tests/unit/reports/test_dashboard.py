@@ -21,7 +21,13 @@ NUMBERS: dict[str, Any] = {
     "fit": {"cycles": 12, "seconds of the fit": 3.5, "last losses": {"loss": 1.0}},
     "machine": {"processor": "a processor", "threads": 1},
 }
-CHOICES = {"scene": "R1", "ablation": "none", "seed": 3, "start: shearing": 20.0}
+CHOICES = {
+    "scene": "R1",
+    "ablation": "none",
+    "asked for": "parameters.shearing=5",
+    "seed": 3,
+    "start: shearing": 20.0,
+}
 
 
 @pytest.fixture
@@ -53,7 +59,12 @@ def test_runs_are_compared_by_the_same_choices_and_metrics(events: EventAccumula
     assert given["start: shearing"].number_value == 20
     experiment = plugin_data(metadata.EXPERIMENT_TAG).experiment
     assert {info.name for info in experiment.hparam_infos} == set(CHOICES)
-    assert {info.name for info in experiment.hparam_infos if info.differs} == {"scene", "ablation", "seed"}
+    assert {info.name for info in experiment.hparam_infos if info.differs} == {
+        "scene",
+        "ablation",
+        "asked for",
+        "seed",
+    }
     # Also those that this run has no value for, because TensorBoard reads the list of any one run.
     assert {info.name.tag for info in experiment.metric_infos} == {*FINAL_METRICS, FINAL_SECONDS}
 

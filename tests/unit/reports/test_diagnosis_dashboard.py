@@ -46,10 +46,10 @@ def test_everything_is_there(
     assert scalars("stage/mechanics") == pytest.approx([0.71])
     assert scalars("log evidence/gusts") == [-2.0]
     assert scalars("base fit/cost") == [900.0, 410.0, 395.0]
-    assert scalars("gap/over the noise floor") == pytest.approx(report.where.frames[:6])
+    assert scalars("distance/over its median") == pytest.approx(report.where.frames[:6])
     assert arrays.frames_vertices is not None
-    assert scalars("gap/mean [mm]") == pytest.approx(1e3 * arrays.frames_vertices[:6].mean((1, 2)))
-    assert set(found.Tags()["images"]) == {"alias matrix", "gap on the cloth"}
+    assert scalars("distance/mean [mm]") == pytest.approx(1e3 * arrays.frames_vertices[:6].mean((1, 2)))
+    assert set(found.Tags()["images"]) == {"alias matrix", "distance on the cloth"}
     assert "The gap is air drag." in text(found, "answer")
     assert text(found, "ranking").splitlines()[2].startswith("| air drag | mechanics | 93 % | linear 0.8 [")
     assert "| contact | " in text(found, "detection limits")
@@ -64,7 +64,7 @@ def test_a_bare_report(report: GapReport, tmp_path: Path) -> None:
     found = events(tmp_path)
     assert found.Tags()["scalars"] == ["verdict/probability"]
     assert found.Tags()["images"] == []
-    assert "No gap" in text(found, "answer")
+    assert "No effect is missing" in text(found, "answer")
 
 
 def test_markdown_shows_names_as_they_are(report: GapReport) -> None:

@@ -98,11 +98,23 @@ const waiting = setInterval(() => {
     clock: document.getElementById("clock")?.textContent,
   };
   if (found.clock) found.used = used(Number(found.clock.match(/[0-9]+/)[0]));
+  // Titles and labels of every figure: which of them touch, and which leave the page.
+  const seen = (e) => e.getBoundingClientRect();
+  const before = (a, b) => a.right <= b.left + 1 || a.bottom <= b.top + 1;
+  const apart = (a, b) => before(a, b) || before(b, a);
+  found.overlaps = [...document.querySelectorAll(".plot")].flatMap((plot) => {
+    const texts = [...plot.querySelectorAll(".annotation-text, .legendtext")];
+    return texts.flatMap((a, k) => texts.slice(k + 1).filter((b) => !apart(seen(a), seen(b)))
+      .map((b) => `${plot.id}: ${a.textContent} / ${b.textContent}`));
+  });
+  found.cut = [...document.querySelectorAll(".annotation-text, .legendtext")]
+    .filter((e) => seen(e).right > innerWidth + 1 || seen(e).left < -1).map((e) => e.textContent);
   const note = document.createElement("pre");
   note.id = "probe";
   note.hidden = true;
   note.textContent = JSON.stringify(found);
   document.body.append(note);
+  if (parent !== window) parent.postMessage(note.textContent, "*");
 }, 20);
 </script>"""
 
@@ -123,7 +135,7 @@ def make_run(scene: Scene, folder: Path, off: float) -> RunFolder:
     return run
 
 
-def look(page: Path, address: str = "") -> tuple[dict[str, Any], np.ndarray]:
+def look(page: Path, address: str = "", width: int = WIDTH) -> tuple[dict[str, Any], np.ndarray]:
     """What the page says about itself, and its picture (h, w, 3)."""
     text = page.read_text(encoding="utf-8")
     watched = page.with_name("watched.html")
@@ -131,7 +143,7 @@ def look(page: Path, address: str = "") -> tuple[dict[str, Any], np.ndarray]:
         text.replace("<title>", WATCH + "<title>", 1).replace("</body>", PROBE + "</body>"), encoding="utf-8"
     )
     picture = page.with_name("page.png")
-    dom = chromium.show(watched.as_uri() + address, picture, width=WIDTH, height=HEIGHT)
+    dom = chromium.show(watched.as_uri() + address, picture, width=width, height=HEIGHT)
     found = re.search(r'<pre id="probe"[^>]*>(.*?)</pre>', dom, flags=re.DOTALL)
     assert found, "the page was never ready"
     pixels = np.asarray(Image.open(picture).convert("RGB")).astype(int)
@@ -171,6 +183,38 @@ def test_page_of_a_run(tiny_scene: Scene, tmp_path: Path) -> None:
         assert (shown.min(axis=-1) < 235).mean() > 0.05, name
         # ... and moved by the frame.
         assert (np.abs(shown - later).max(axis=-1) > 20).mean() > 0.005, name
+
+
+def check_texts(probe: dict[str, Any]) -> None:
+    assert probe["trouble"] == []
+    assert probe["overflow"] == 0
+    assert probe["undrawn"] == 0
+    assert probe["overlaps"] == []
+    assert probe["cut"] == []
+
+
+@pytest.mark.parametrize("width", [chromium.PHONE, 1440])
+def test_titles_of_a_run_stand_apart(width: int, tiny_scene: Scene, tmp_path: Path) -> None:
+    run = make_run(tiny_scene, tmp_path / "run", 0.004)
+    page = result_page(run, tiny_scene, ReferenceRenderer(), 2)
+    write_result_page(dataclasses.replace(page, warnings=["The masks " + 30 * "flicker "]), run.page)
+    probe, picture = look(run.page, width=width)
+    check_texts(probe)
+    assert picture.shape[1] == width
+    # The cursors are there after the figures were arranged for the screen.
+    assert probe["used"]["clicked"] == 2
+
+
+@pytest.mark.parametrize("width", [chromium.PHONE, 1440])
+def test_titles_of_a_sweep_stand_apart(width: int, tiny_scene: Scene, tmp_path: Path) -> None:
+    for k, off in enumerate((0.001, 0.004)):
+        run = make_run(tiny_scene, tmp_path / "sweep" / str(k), off)
+        (run.path / ".hydra").mkdir()
+        asked = [f"parameters.{name}={off}" for name in ("stretching", "shearing", "bending", "damping")]
+        (run.path / ".hydra" / "overrides.yaml").write_text(json.dumps(asked))
+    page = SweepPage(read_sweep([tmp_path / "sweep"]), tmp_path / "sweep" / "report.html")
+    probe, _ = look(write_sweep_page(page), width=width)
+    check_texts(probe)
 
 
 def test_page_of_a_sweep(tiny_scene: Scene, tmp_path: Path) -> None:

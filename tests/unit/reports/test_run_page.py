@@ -148,3 +148,42 @@ def test_parameters_in_two_units_share_a_row(page: ResultPage) -> None:
     row = row[: row.index("</tr>")]
     assert "0.500" in row
     assert "2.00" in row
+
+
+def header(page: ResultPage) -> str:
+    body = without_library(page.render())
+    return body[: body.index("</header>")]
+
+
+def test_warnings_of_the_scene_stand_on_top(page: ResultPage) -> None:
+    assert "warning" not in header(page)
+    warned = dataclasses.replace(page, warnings=["Mask 3 is <empty>.", "The camera is a guess."])
+    text = header(warned)
+    box = re.search(r'<div class="warning" role="alert">(.*?)</div>', text)
+    assert box is not None
+    assert re.findall(r"<p>(.*?)</p>", box[1]) == ["Mask 3 is &lt;empty&gt;.", "The camera is a guess."]
+    assert text.index("warning") < text.index('class="lead"')
+
+
+def test_what_the_stiffness_is_worth_stands_beside_it(page: ResultPage) -> None:
+    noted = without_library(dataclasses.replace(page, stiffness_note="No <measurement>.").render())
+    start = noted.index("<h2>Stiffness and forces</h2>")
+    assert "No &lt;measurement&gt;." in noted[start : noted.index("stretching stiffness", start)]
+
+
+def test_charts_have_a_layout_for_narrow_screens(page: ResultPage) -> None:
+    text = page.render()
+    for name in ("errors", "map-error"):
+        found = re.search(rf'id="{name}-figure">(.*?)</script>', text, flags=re.DOTALL)
+        assert found
+        layout = json.loads(found[1])["layout"]
+        narrow = layout["meta"]["narrow"]
+        axes = {key for key in layout if re.match(r"[xy]axis", key)}
+        # The same axes, cursors and titles, or the traces would be lost.
+        assert {key for key in narrow if re.match(r"[xy]axis", key)} >= axes
+        assert len(narrow["shapes"]) == len(layout["shapes"])
+        assert [a["text"] for a in narrow["annotations"]] == [a["text"] for a in layout["annotations"]]
+        # Only two titles share a line, and those are short.
+        lines = [a["y"] for a in narrow["annotations"]]
+        assert max(map(lines.count, lines)) == (2 if name == "map-error" else 1)
+        assert f"--narrow-height:{narrow['height']}px" in text

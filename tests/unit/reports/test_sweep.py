@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
@@ -133,6 +134,81 @@ def test_runs_without_a_result_are_listed_with_their_reason(sweep_folder: Path) 
     assert "4 runs have no result" in text
     assert "frame 3 &lt;did&gt; not converge" in text
     assert "<did>" not in text
+
+
+def unfinished_table(text: str) -> str:
+    return text[text.index("<h2>Without a result</h2>") :]
+
+
+def test_failed_runs_show_their_settings(sweep_folder: Path) -> None:
+    failed = make_run(sweep_folder / "R1" / "bad" / "seed4", 0.1, seed=4, turbulence=10.0, steps=1)
+    (failed.path / "failure.txt").write_text("error: did not converge")
+    # Failed before its configuration was stored.
+    early = create_run_folder(sweep_folder / "R1" / "early")
+    (early.path / "failure.txt").write_text("error: bending is negative")
+    (early.path / ".hydra").mkdir()
+    asked = ["scene=R1", "parameters.bending=<-1>", "report.video=false"]
+    (early.path / ".hydra" / "overrides.yaml").write_text(yaml.safe_dump(asked))
+    sweep = read_sweep([sweep_folder])
+    # Finished runs are grouped by what they differ in among themselves.
+    assert [d.name for d in sweep.differences] == ["turbulence"]
+    assert {d.name: d.values for d in sweep.all_differences} == {
+        "steps": ("–", "–", "–", "–", "1", ""),
+        "turbulence": ("10", "10", "1", "1", "10", ""),
+    }
+    text = body(SweepPage(sweep, sweep_folder / "report.html").render())
+    row, other = re.findall(r"<tr><th>R1/(?:bad/seed4|early)</th>(.*?)</tr>", unfinished_table(text))
+    assert re.findall(r"data-label='(.*?)'>(.*?)</td>", row) == [
+        ("steps", "1"),
+        ("turbulence", "10"),
+        ("asked for", ""),
+        ("seed", "4"),
+    ]
+    assert "data-label='asked for'>bending=&lt;-1&gt;" in other
+    assert "bending is negative" in other
+    # What only the failed run has is a column of the others, too.
+    assert ">steps</button>" in text
+
+
+def test_every_setting_of_a_sweep_is_an_axis(tmp_path: Path) -> None:
+    """However many settings come along with what was asked for, and however long the labels are."""
+    names = ("stretching", "shearing", "bending")
+    along = [f"setting_with_a_long_name_{k}" for k in range(8)]
+    for k in range(3):
+        values = {name: float(10 * k + j) for j, name in enumerate(names)}
+        run = make_run(tmp_path / str(k), 1.0 + k, parameters=values, along=dict.fromkeys(along, k))
+        (run.path / ".hydra").mkdir()
+        asked = [f"parameters.{name}={value}" for name, value in values.items()]
+        asked.append(f"+experiment=one_with_a_long_name_{k}")
+        (run.path / ".hydra" / "overrides.yaml").write_text(yaml.safe_dump(asked))
+    page = SweepPage(read_sweep([tmp_path]), tmp_path / "report.html")
+    text = body(page.render())
+    table = text[text.index("<h2>Runs</h2>") : text.index("</table>", text.index("<h2>Runs</h2>"))]
+    for name in names:
+        assert f">{name}</button>" in table
+    charts = re.findall(r'id="(?:dots-0|parameters)-figure">(.*?)</script>', page.render(), flags=re.DOTALL)
+    assert charts
+    for chart in charts:
+        labels = json.loads(chart)["layout"]["yaxis"]["ticktext"]
+        for label in labels:
+            assert all(name in label for name in (*names, "one_with_a_long_name"))
+            # In lines, so that the dots keep their room.
+            assert max(map(len, label.split("<br>"))) <= 46
+
+
+def test_the_same_small_value_of_all_runs_can_be_read() -> None:
+    chart = dots(["a", "b"], [["r"], ["s"]], [DotPanel("t", "N·m", [[3.5e-4], [3.5e-4]])])
+    low, high = chart.layout.xaxis.range
+    assert 0 < low < 3.5e-4 < high < 1e-3
+    assert chart.layout.xaxis.ticktext == ("0.00035",)
+
+
+def test_the_stiffness_says_what_it_is_worth(sweep_folder: Path) -> None:
+    stages = {"track": {"priors": {"turbulence": 10.0, "stiffness": 0.05}}}
+    recipe = {"_target_": "toile.fitting.gauss_newton.recipe.TrackingRecipe", "stages": stages}
+    make_run(sweep_folder / "R1" / "other", 1.0, optimization=recipe)
+    text = body(SweepPage(read_sweep([sweep_folder]), sweep_folder / "report.html").render())
+    assert "no measurement" in text[text.index("<h2>Stiffness found</h2>") :]
 
 
 def test_several_scenes_each_have_their_best(tmp_path: Path) -> None:

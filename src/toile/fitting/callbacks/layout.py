@@ -11,7 +11,7 @@ from lightning.pytorch.loggers import TensorBoardLogger
 
 from toile.fitting.callbacks.chamfer import CHAMFER_TAG, ChamferLogger
 from toile.fitting.callbacks.tensorboard import scalar_tag
-from toile.fitting.module import FitModule
+from toile.fitting.module import PER_FRAME, FitModule
 from toile.fitting.parameters import ClothParameters
 
 Layout = dict[str, dict[str, list[Any]]]
@@ -48,11 +48,13 @@ def fit_layout(columns: Iterable[str], *, chamfer: bool) -> Layout:
         chamfer: whether there is a Chamfer curve.
     """
     names = [c for c in columns if c != "cycle"]
-    terms = [c.removeprefix("loss ") for c in names if c.startswith("loss ")]
+    columns_of_terms = [c for c in _matching("loss ", names) if c != PER_FRAME]
+    terms = [c.removeprefix("loss ") for c in columns_of_terms]
     # Charts of one title and different curves stay apart, so recipes are told from each other by the title.
-    fit = {"loss": _chart("loss")}
+    fit = {PER_FRAME: _chart(PER_FRAME)}
     if terms:
-        fit[f"terms of the loss: {', '.join(terms)}"] = _chart(*_matching("loss ", names))
+        fit[f"terms of the loss: {', '.join(terms)}"] = _chart(*columns_of_terms)
+    fit["loss, summed over the frames of the window"] = _chart("loss")
     if chamfer:
         fit["Chamfer x1e4 [m²] over the cycles"] = ["Multiline", [_exactly(CHAMFER_TAG)]]
     charts: Layout = {"fit": fit}

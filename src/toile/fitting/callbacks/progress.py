@@ -15,7 +15,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from toile.fitting.module import FitModule
+from toile.fitting.module import PER_FRAME, FitModule
 from toile.fitting.parameters import ClothParameters
 from toile.limits import Count
 
@@ -87,4 +87,4 @@ def _state(module: FitModule) -> str:
         f"{symbol} {last[f'{name} [network units]']:.4g}"
         for symbol, name in zip("YSB", ClothParameters.STIFFNESSES, strict=True)
     )
-    return f"loss {last['loss']:.4g}, {last['frames']:.0f} of {n} frames, {stiffness}"
+    return f"{PER_FRAME} {last[PER_FRAME]:.4g}, {last['frames']:.0f} of {n} frames, {stiffness}"

@@ -203,7 +203,7 @@ class TrackingRecipe(Recipe):
             "newton_iterations": float(result.newton),
         }
         motion = torch.from_numpy(frame_steps.at_frames(self._positions[:end]))
-        return CycleReport(losses, last + 1, motion, tuple(result.notes))
+        return CycleReport(losses, last + 1, motion, tuple(result.notes), max(1, len(result.colour)))
 
     def with_heavier_silhouette(self, factor: float) -> TrackingRecipe | None:
         """See Recipe; later stages start from the motion that the first one has found."""

@@ -13,7 +13,7 @@ from scipy.spatial.distance import squareform
 
 from toile.evaluation.diagnosis_record import Alias, EffectReport
 from toile.reports.cloth_fields import ClothField, Upright
-from toile.reports.diagnosis_wording import metric_and_unit, percent, plain_name
+from toile.reports.diagnosis_wording import change, metric_and_unit, plain_name
 from toile.reports.page.charts import CURSOR, MAP_HEIGHT, SMALL, plain
 from toile.reports.palette import FORCE_SCALE, INK, MUTED, RECONSTRUCTION, RULE, SERIES
 
@@ -70,19 +70,19 @@ def held_out(effects: Sequence[EffectReport], chosen: Collection[str]) -> go.Fig
             {"color": "white", "size": 11, "line": {"color": INK, "width": 2}},
         )  # fmt: skip
         if s.best_placebo is not None:
-            text = f"best placebo, {percent(s.best_placebo)} less"
+            text = f"best placebo, {change(s.best_placebo)}"
             mark("best placebo", s.base * (1 - s.best_placebo), row, text,
                  {"color": _PLACEBO, "size": 10, "symbol": "diamond"})  # fmt: skip
         if s.oracle is not None:
             mark("oracle", s.oracle, row, "oracle: the true effect, fitted the same way",
                  {"color": _ORACLE, "size": 12, "symbol": "star"})  # fmt: skip
-        text = f"with {name}, {percent(s.estimate)} less"
+        text = f"with {name}, {change(s.estimate)}"
         mark("with the effect (and 90 % interval)", s.with_effect, row, text,
              {"color": colour, "size": 12})  # fmt: skip
         figure.add_annotation(
             x=s.with_effect,
             y=row,
-            text=f"<b>{_change(s.estimate)}</b>",
+            text=f"<b>{change(s.estimate)}</b>",
             showarrow=False,
             yshift=17,
             font={"size": 13, "color": INK if effect.name in chosen else MUTED},
@@ -96,17 +96,18 @@ def held_out(effects: Sequence[EffectReport], chosen: Collection[str]) -> go.Fig
         automargin=True,
         showgrid=False,
     )
-    title = f"{what} [{unit}], {having[0][1].held_out}" if unit else f"{what}, {having[0][1].held_out}"
-    figure.update_xaxes(title={"text": escape(title), **SMALL}, rangemode="tozero")
+    # In two lines, as the chart is half a page wide at most.
+    title = [f"{what} [{unit}]" if unit else what, having[0][1].held_out]
+    figure.update_xaxes(title={"text": "<br>".join(map(escape, title)), **SMALL}, rangemode="tozero")
     figure.update_layout(
         legend={"orientation": "h", "y": 1.04, "yanchor": "bottom", "x": 0, "xanchor": "left"}
     )
     annotations = figure.layout.annotations
     # The pages' style takes annotations for titles of charts.
     figure.layout.annotations = ()
-    plain(figure, 62 * len(having) + 126)
+    plain(figure, 62 * len(having) + 142)
     figure.layout.annotations = annotations
-    figure.update_layout(margin={"l": 8, "t": 66})
+    figure.update_layout(margin={"l": 8, "t": 66, "b": 58})
     return figure
 
 
@@ -114,7 +115,7 @@ def over_time(scores: Sequence[float], held_out_frames: Collection[int], *, curs
     """Score of every frame; the frames that were held out are shaded. None without scores.
 
     Args:
-        scores: residual over the noise floor (F,).
+        scores: mean distance of every frame over the median distance (F,).
         held_out_frames: a score of exactly 0 there was not measured.
         cursor: draw a line for the current frame.
     """
@@ -126,7 +127,7 @@ def over_time(scores: Sequence[float], held_out_frames: Collection[int], *, curs
         x=list(range(len(values))),
         y=values,
         marker={"color": RECONSTRUCTION, "line": {"width": 0}},
-        hovertemplate="frame %{x}: %{y:.3g} × the noise floor<extra></extra>",
+        hovertemplate="frame %{x}: %{y:.3g} × the median<extra></extra>",
         showlegend=False,
     )
     if cursor:
@@ -144,7 +145,7 @@ def over_time(scores: Sequence[float], held_out_frames: Collection[int], *, curs
     plain(figure, 230)
     figure.layout.annotations = annotations
     figure.update_xaxes(title={"text": "frame", **SMALL}, range=[-0.6, len(scores) - 0.4], showgrid=False)
-    figure.update_yaxes(title={"text": "gap / noise floor", **SMALL}, rangemode="tozero")
+    figure.update_yaxes(title={"text": "distance / median", **SMALL}, rangemode="tozero")
     figure.update_layout(margin={"t": 12}, bargap=0.25)
     return figure
 
@@ -235,7 +236,3 @@ def alias_matrix(alias: Alias, chosen: Collection[str] = ()) -> go.Figure | None
     )  # fmt: skip
     figure.update_layout(margin={"l": 8, "t": 8, "b": 8})
     return figure
-
-
-def _change(estimate: float) -> str:
-    return f"−{percent(abs(estimate))}" if estimate >= 0 else f"+{percent(abs(estimate))}"

@@ -28,6 +28,8 @@ from toile.reports.diagnosis_wording import (
     answer,
     beats_placebo,
     certainty,
+    change,
+    change_between,
     frame_ranges,
     listed,
     percent,
@@ -45,6 +47,8 @@ LIKELY = 0.01
 """Probability from which an effect has a row of its own in the ranking."""
 ALIKE = 0.9
 """|cosine| from which two traces count as the same."""
+CELL_WIDTH = 20
+"""Of the matrix of effects, at least [px]."""
 MAX_ESTIMATES = 5
 """Parameters of an effect that the ranking shows at once."""
 
@@ -136,18 +140,16 @@ class DiagnosisPage:
         found = report.effect(verdict.effect)
         if found is not None:
             if found.shrink is not None:
-                change = f"{'−' if found.shrink.estimate >= 0 else '+'}{percent(abs(found.shrink.estimate))}"
                 claim = "" if beats_placebo(found.shrink) else ", no more than a placebo"
-                cards.append((escape(change), f"error on {found.shrink.held_out}{claim}"))
+                cards.append((change(found.shrink.estimate), f"error on {found.shrink.held_out}{claim}"))
             for name, e in _telling(found.parameters)[:1]:
                 cards.append((_large(e), f"{name}, {_bounds(e)}"))
             if found.gap is not None and found.gap.estimate > 0:
                 cards.append((_large(found.gap), f"that the effect moves the cloth, {_bounds(found.gap)}"))
         if self.arrays.vertices is not None and len(cards) < 5:
             mean = 1e3 * float(self.arrays.vertices.mean())
-            cards.append(
-                (f"{number(mean)}<small> mm</small>", "mean gap of the base model within short windows")
-            )
+            what = "mean distance of the base model, left to itself for a few frames, from the tracked cloth"
+            cards.append((f"{number(mean)}<small> mm</small>", f"{what}; errors of tracking are part of it"))
         return cards[:5]
 
     def _ladder(self) -> str:
@@ -216,25 +218,30 @@ class DiagnosisPage:
             tags.append('<span class="tag chosen">in the 90 % set</span>')
         if effect.name == self.report.protocol.naive:
             tags.append('<span class="tag">naive answer</span>')
-        gap = "–" if effect.gap is None else f"{_value(effect.gap.estimate, effect.gap.unit)}<br>"
-        gap += "" if effect.gap is None else f"<i>{_bounds(effect.gap)}</i>"
-        gap = f"<td>{gap}</td>" if self._knows_motion else ""
+        gap = "–"
+        if effect.gap is not None:
+            moves = effect.gap.high > 0 or effect.gap.estimate > 0
+            gap = f"{_value(effect.gap.estimate, effect.gap.unit)}<br><i>{_bounds(effect.gap)}</i>"
+            gap = gap if moves else "not at all"
+        gap = f"<td data-label='moves the cloth by'>{gap}</td>" if self._knows_motion else ""
         shrink = "–"
         if effect.shrink is not None:
             s = effect.shrink
             doubt = "" if beats_placebo(s) else '<br><span class="tag doubt">within placebo</span>'
-            shrink = f"{_signed(-s.estimate)}<br><i>{_signed(-s.high)} to {_signed(-s.low)}</i>{doubt}"
+            between = change_between(s.low, s.high)
+            shrink = change(s.estimate) + (f"<br><i>{between}</i>" if between else "") + doubt
         return (
             f"<tr{' class=best' if chosen else ''}>"
             f"<th>{escape(plain_name(effect.name))}<small>{escape(effect.stage)}</small>{' '.join(tags)}</th>"
             f'<td class="share">{escape(percent(effect.probability))}{_bar(effect.probability, chosen)}</td>'
-            f"<td class='left'>{_estimates(effect.parameters)}</td>{gap}<td>{shrink}</td></tr>"
+            f"<td class='left'>{_estimates(effect.parameters)}</td>{gap}"
+            f"<td data-label='held-out error'>{shrink}</td></tr>"
         )
 
     def _without_effect(self, rest: float) -> list[str]:
         """Rows of the two hypotheses that are no effects, as far as the report says how probable they are."""
         verdict = self.report.verdict
-        known = {NONE: "no gap", UNKNOWN: "outside the catalogue"}
+        known = {name: plain_name(name) for name in (NONE, UNKNOWN)}
         if verdict.effect in known:
             other = UNKNOWN if verdict.effect == NONE else NONE
             parts = [(verdict.effect, verdict.probability), (other, max(0.0, rest - verdict.probability))]
@@ -244,7 +251,7 @@ class DiagnosisPage:
         for name, probability in parts:
             chosen = name == verdict.effect
             tag = ' <span class="tag chosen">the answer</span>' if chosen else ""
-            label = known.get(name, "no gap, or outside the catalogue")
+            label = known.get(name, "nothing missing, or outside the catalogue")
             rows.append(
                 f'<tr class="{"best" if chosen else "rest"}"><th>{label}{tag}</th>'
                 f'<td class="share">{escape(percent(probability))}{_bar(probability, chosen)}</td>'
@@ -259,7 +266,7 @@ class DiagnosisPage:
             mean = self.arrays.vertices
             if mean is None:
                 return []
-            field = ClothField("gap", "Gap", "mm", "", 1e3 * mean[None])
+            field = ClothField("gap", "Distance", "mm", "", 1e3 * mean[None])
             return [section("Where on the cloth", figure(mean_map(field, None), "map-gap"), note=_GAP_NOTE)]
         gap = gap_field(self.arrays, scene.grid, self.report.protocol.frames_held_out)
         if gap is not None and len(gap.values) != len(motion):
@@ -280,7 +287,7 @@ class DiagnosisPage:
         chart = field_maps(gap, upright, held_vertices(scene))
         note = f"{escape(gap.note)} Seen as the cloth lies in frame 0; circles are held vertices."
         maps = figure(chart, "map-gap", {"cursors": "1", "field": "gap"})
-        return [heading, section("The gap on the cloth", maps, note=note)]
+        return [heading, section("How far the base model strays", maps, note=note)]
 
     def _over_time(self) -> str:
         where, protocol = self.report.where, self.report.protocol
@@ -297,7 +304,7 @@ class DiagnosisPage:
             section(
                 "When",
                 figure(chart, "over-time", {"cursors": "1"} if followed else None),
-                note="Gap of every frame over its noise floor, the dotted line.",
+                note="Mean distance of every frame over the median of all, the dotted line.",
             ),
             section("In which regime", regimes, note="The same, over parts of the motion."),
             kind="pair even",
@@ -306,6 +313,10 @@ class DiagnosisPage:
     def _alias(self) -> str:
         alias = self.report.alias
         chart = figure(alias_matrix(alias, self._chosen), "alias")
+        if chart:
+            # Cells that a number fits into; on a narrow screen the matrix is moved sideways.
+            width = CELL_WIDTH * len(alias.names) + 120
+            chart = f'<div class="scroll"><div style="min-width: {width}px">{chart}</div></div>'
         groups = [group for group in alias.classes(ALIKE) if len(group) > 1]
         if len(alias.names) < 2:
             told = ""
@@ -419,7 +430,11 @@ def _estimates(parameters: dict[str, Estimate]) -> str:
 
 
 def _bounds(estimate: Estimate) -> str:
-    return f"{number(estimate.low)} to {number(estimate.high)}"
+    if estimate.low == estimate.high:
+        # Held there by the sign that it must have: no interval was estimated.
+        return "at its bound"
+    low, high = number(estimate.low), number(estimate.high)
+    return f"{low} to {high}" if low != high else f"± {number(0.5 * (estimate.high - estimate.low))}"
 
 
 def _large(estimate: Estimate) -> str:
@@ -430,11 +445,6 @@ def _large(estimate: Estimate) -> str:
 
 def _value(value: float, unit: str) -> str:
     return with_unit(value, "" if unit == "1" else unit)
-
-
-def _signed(share: float) -> str:
-    text = percent(abs(share))
-    return escape(f"+{text}" if share > 0 else f"−{text}" if share < 0 else text)
 
 
 def _bar(share: float, chosen: bool) -> str:
@@ -459,7 +469,8 @@ def _sentence(text: str) -> str:
 
 
 _LADDER_NOTE = (
-    "From forces to pixels. Numerics: what a shorter time step changes, over the gap. The share of another "
+    "From forces to pixels. Numerics: what a shorter time step changes, over the base model's distance from "
+    "the tracked cloth. The share of another "
     "stage is that of its strongest effect in the evidence for a gap; "
     "a hatched one was not measured."
 )
@@ -471,7 +482,10 @@ _RANKING_NOTE = (
     "Probability that the effect is what the model lacks. Beside it, what the effect's numbers would be, "
     "each with its 90 % interval."
 )
-_GAP_NOTE = "Distance between the tracked cloth and the base model, left to itself for a few frames."
+_GAP_NOTE = (
+    "Distance between the tracked cloth and the base model, left to itself for a few frames. Errors of "
+    "tracking are part of it: it is never zero, whatever the answer."
+)
 _ALIAS_NOTE = (
     "How alike the traces of two effects are once stiffness, wind and smooth forces have taken their part: "
     "1 means that this clip cannot tell them apart."

@@ -79,6 +79,13 @@ def table(head: str, rows: Sequence[str], *, sortable: bool = False) -> str:
     return f'<div class="scroll"><table{kind}><thead>{head}</thead><tbody>{body}</tbody></table></div>'
 
 
+def warning_box(lines: Sequence[str]) -> str:
+    """Plain sentences in a box that cannot be overlooked, one a line; nothing without any."""
+    if not lines:
+        return ""
+    return f'<div class="warning" role="alert">{"".join(f"<p>{escape(line)}</p>" for line in lines)}</div>'
+
+
 def data(name: str, content: Any) -> str:
     """Plain data for the scripts, as an inert element with that id."""
     # "<" could end the element early; JSON allows it as an escape in any string.
@@ -90,19 +97,29 @@ def figure(chart: go.Figure | None, name: str, attributes: Mapping[str, str] | N
     """A plotly figure, drawn by figures.js when the page is shown.
 
     Args:
-        chart: with a height of its own; None gives nothing.
+        chart: with a height of its own, and perhaps a layout for narrow screens (``charts.with_narrow``);
+            None gives nothing.
         name: unique in the page.
         attributes: data attributes of its element, for viewer.js.
     """
     if chart is None:
         return ""
     extra = "".join(f' data-{key}="{escape(value)}"' for key, value in (attributes or {}).items())
-    height = "" if chart.layout.height is None else f' style="min-height:{chart.layout.height}px"'
+    heights = {"height": chart.layout.height, "narrow-height": _narrow_height(chart)}
+    style = ";".join(f"--{name}:{height}px" for name, height in heights.items() if height is not None)
+    height = f' style="{style}"' if style else ""
     text = chart.to_json().replace("<", "\\u003c")
     return (
         f'<script type="application/json" id="{name}-figure">{text}</script>'
         f'<div class="plot" id="{name}" data-figure="{name}-figure"{extra}{height}></div>'
     )
+
+
+def _narrow_height(chart: go.Figure) -> float | None:
+    """Height of a figure on a narrow screen [px], where it has one."""
+    narrow = (chart.layout.meta or {}).get("narrow", {})
+    height: float | None = narrow.get("height")
+    return height
 
 
 def picture_address(pixels: npt.NDArray[np.uint8], quality: int = PICTURE_QUALITY) -> str:

@@ -26,6 +26,7 @@ from toile.reports.page.document import (
     picture_address,
     section,
     table,
+    warning_box,
     with_unit,
 )
 from toile.reports.page.viewer import Video, viewer
@@ -92,6 +93,8 @@ class ResultPage:
         loss_columns: columns of the history to draw as losses.
         pictures: of a few frames, for print.
         facts: short facts by name, e.g. {"run time": "142 s", "simulator": "implicit"}.
+        warnings: of the scene, one sentence each; they stand above everything else.
+        stiffness_note: what the stiffness found is worth, as plain text.
         config: resolved configuration as text.
         times: of the frames (F,) [s]; None where they are evenly spaced.
     """
@@ -111,6 +114,8 @@ class ResultPage:
     loss_columns: Sequence[str] = ()
     pictures: Sequence[PagePicture] = ()
     facts: Mapping[str, str] = field(default_factory=dict)
+    warnings: Sequence[str] = ()
+    stiffness_note: str = ""
     config: str = ""
     times: npt.NDArray[np.floating] | None = None
 
@@ -138,7 +143,12 @@ class ResultPage:
                 self._errors(),
                 note="Click into a chart to go to that frame.",
             ),
-            section("Stiffness and forces", _parameter_table(self.parameters), self._histories()),
+            section(
+                "Stiffness and forces",
+                _parameter_table(self.parameters),
+                self._histories(),
+                note=escape(self.stiffness_note),
+            ),
             section("Forces on the cloth", self._maps(self.force, upright), note=_note(self.force)),
             section("All metrics", self._metric_table(), note=self._metric_note()),
             section("Frames side by side", _pictures(self.pictures)),
@@ -177,7 +187,8 @@ class ResultPage:
         row = f'<div class="cards">{cards}</div>' if cards else ""
         return (
             '<header><p class="eyebrow">toile · reconstruction of a cloth</p>'
-            f'<h1>{escape(self.scene)}</h1><p class="lead">{lead}</p>{row}{how}</header>'
+            f"<h1>{escape(self.scene)}</h1>{warning_box(self.warnings)}"
+            f'<p class="lead">{lead}</p>{row}{how}</header>'
         )
 
     def _maps(self, shown: ClothField | None, upright: Upright) -> str:
@@ -210,7 +221,7 @@ class ResultPage:
             at = "–" if worst is None else f"{number(float(m.per_frame[worst]))} <i>frame {worst}</i>"
             rows.append(
                 f"<tr><th>{escape(m.title)}</th><td>{number(m.mean)}</td>"
-                f"<td class='left'>{escape(m.unit)}</td><td>{at}</td>"
+                f"<td class='left'>{escape(m.unit)}</td><td data-label='worst'>{at}</td>"
                 f"<td class='text'>{escape(m.protocol)}</td></tr>"
             )
         for key, reason in self.evaluation.skipped.items():

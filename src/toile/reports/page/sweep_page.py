@@ -27,6 +27,8 @@ from toile.reports.page.document import (
     with_unit,
 )
 from toile.reports.page.run_page import CARD_METRICS, headline_metrics
+from toile.reports.run_settings import Difference
+from toile.reports.stiffness_note import stiffness_note
 from toile.reports.sweep import Group, Run, Sweep
 
 Quantity = tuple[str, str, Callable[[Run], float]]
@@ -35,10 +37,14 @@ SceneChart = Callable[[str, int], str]
 """Draws the runs of a scene; the number makes names unique."""
 
 MAX_COLUMNS = 6
-"""Settings with a column of their own in the table of runs; the others are listed below it."""
+"""Settings up to which each has a column of its own in the table of runs.
+
+Where more differ, those that were asked for by name still have one; the others are listed below the table.
+"""
 MAX_PANELS = 3
 """Metrics drawn side by side."""
-MAX_LABEL = 46
+MAX_LABEL = 160
+"""Characters of a group's label; figures break it into lines."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +101,7 @@ class SweepPage:
             *self._by_scene("Settings side by side", self._dots, _DOTS_NOTE),
             section("Runs", self._runs(), self._differences()),
             *self._by_scene(f"{self._title()} over time", self._curves, "One line per run."),
-            section("Stiffness found", self._parameters(), note=_STIFFNESS_NOTE),
+            section("Stiffness found", self._parameters(), note=self._stiffness_note()),
             section("Without a result", self._unfinished()),
             section("How it was measured", self._protocols()),
         ]
@@ -236,12 +242,12 @@ class SweepPage:
         if not sweep.runs:
             return ""
         several = len(sweep.scenes) > 1
-        columns = sweep.differences if len(sweep.differences) <= MAX_COLUMNS else ()
+        columns, few = self._columns(), len(sweep.all_differences) <= MAX_COLUMNS
         metrics = {m.key: m for r in sweep.runs for m in headline_metrics(r.evaluation)}
         heads = [_heading("run")]
         heads += [_heading("scene", "left")] if several else []
-        heads += [_heading(d.name, "left") for d in columns] if columns else []
-        heads += [_heading("setting", "left")] if not columns and len(sweep.groups) > 1 else []
+        heads += [_heading(d.name, "left") for d in columns]
+        heads += [_heading("setting", "left")] if not few and len(sweep.groups) > 1 else []
         heads += [_heading("seed"), *(_heading(m.title, unit=m.unit) for m in metrics.values())]
         heads.append(_heading("time", unit="s"))
         label = {id(r): g.label for g in sweep.groups for r in g.runs}
@@ -251,7 +257,7 @@ class SweepPage:
             cells = [f"<th>{self._link(run)}</th>"]
             cells += [f"<td class='left'>{escape(run.evaluation.scene)}</td>"] if several else []
             cells += [f"<td class='left'>{escape(d.values[k])}</td>" for d in columns]
-            if not columns and len(sweep.groups) > 1:
+            if not few and len(sweep.groups) > 1:
                 cells.append(f"<td class='left wrap'>{escape(label[id(run)])}</td>")
             cells.append(f"<td>{escape(run.seed)}</td>")
             cells += [_cell(_value(run, key)) for key in metrics]
@@ -259,6 +265,16 @@ class SweepPage:
             kind = ' class="best"' if id(run) in best else ""
             rows.append(f"<tr{kind}>{''.join(cells)}</tr>")
         return table(f"<tr>{''.join(heads)}</tr>", rows, sortable=True)
+
+    def _columns(self) -> list[Difference]:
+        """Settings with a column of their own."""
+        sweep = self.sweep
+        if len(sweep.all_differences) <= MAX_COLUMNS:
+            return list(sweep.all_differences)
+        given = [o for run in sweep.runs for o in run.overrides]
+        given += [o for run in sweep.unfinished for o in run.overrides]
+        asked = {o.lstrip("+~").partition("=")[0] for o in given}
+        return [d for d in sweep.all_differences if asked.intersection(d.paths)]
 
     def _best_runs(self) -> list[Run]:
         """The best run of every scene that has several."""
@@ -281,7 +297,7 @@ class SweepPage:
     def _differences(self) -> str:
         """All settings that differ, one row each, one column per group."""
         sweep = self.sweep
-        if len(sweep.differences) <= MAX_COLUMNS:
+        if len(sweep.all_differences) <= MAX_COLUMNS or not sweep.differences:
             return ""
         groups = self._ordered()
         first = [sweep.runs.index(g.runs[0]) for g in groups]
@@ -323,12 +339,42 @@ class SweepPage:
             "parameters", self._ordered(), self.sweep.runs, [quantity(name) for name in names]
         )
 
+    def _stiffness_note(self) -> str:
+        notes = dict.fromkeys(stiffness_note(r.settings) for r in self.sweep.runs if r.parameters)
+        said = [f"<br>{escape(note)}" for note in notes if note]
+        several = (
+            "<br>The runs have different recipes, so not all of the following holds for each."
+            if len(said) > 1
+            else ""
+        )
+        return f"{_STIFFNESS_NOTE}{several}{''.join(said)}"
+
     def _unfinished(self) -> str:
-        rows = [
-            f"<tr><th>{escape(u.name)}</th><td class='text'>{escape(u.reason)}</td></tr>"
-            for u in self.sweep.unfinished
+        sweep = self.sweep
+        if not sweep.unfinished:
+            return ""
+        columns = self._columns()
+        # Of a run that failed before its configuration was stored, only this is known.
+        bare = any(not u.settings and u.asked_for for u in sweep.unfinished)
+        several = len({*sweep.scenes, *(u.scene for u in sweep.unfinished if u.scene)}) > 1
+        names = [
+            *(["scene"] if several else []),
+            *(d.name for d in columns),
+            *(["asked for"] if bare else []),
         ]
-        return table("<tr><th>run</th><th class='text'>reason</th></tr>", rows) if rows else ""
+        rows = []
+        for k, u in enumerate(sweep.unfinished, start=len(sweep.runs)):
+            values = [*([u.scene] if several else []), *(d.values[k] for d in columns)]
+            values += [u.asked_for] if bare else []
+            values.append(str(u.settings.get("seed", "")))
+            cells = [
+                f"<td class='left' data-label='{escape(name)}'>{escape(value)}</td>"
+                for name, value in zip([*names, "seed"], values, strict=True)
+            ]
+            reason = f"<td class='text'>{escape(u.reason)}</td>"
+            rows.append(f"<tr><th>{escape(u.name)}</th>{''.join(cells)}{reason}</tr>")
+        heads = "".join(f"<th class='left'>{escape(name)}</th>" for name in [*names, "seed"])
+        return table(f"<tr><th>run</th>{heads}<th class='text'>reason</th></tr>", rows)
 
     def _protocols(self) -> str:
         ways: dict[tuple[str, str], list[str]] = {}

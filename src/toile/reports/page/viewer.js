@@ -157,6 +157,8 @@ toile.startViewer = () => {
   slider.addEventListener("input", () => pauseAt(Number(slider.value)));
   play.addEventListener("click", () => setPlaying(playing === null));
   addEventListener("scroll", () => catchUp(false), { passive: true });
+  // Their cursors are where the page began.
+  toile.rearranged.push(() => followers.map(drawFollower));
   addEventListener("beforeprint", () => catchUp(true));
   addEventListener("hashchange", () => pauseAt(fromAddress()));
   document.querySelectorAll("input[name=view], #show-grid").forEach((input) =>

@@ -25,6 +25,14 @@ from toile.scenes.validation import (
 )
 
 _SMALLEST, _LARGEST = 0.02, 20.0  # [m], sides of a cloth
+MOST_SHEAR = 40.0
+"""Shear [degrees] of a cell above which the grid lies wrongly, or the cloth is not at rest.
+
+The nine published templates of real cloths reach 39 (R7, at one corner), and at most one corner of a cell in
+a hundred is above 17: what is sheared more is no cloth at rest.
+"""
+_CELL = ((0, 0), (1, 0), (1, 1), (0, 1))
+"""Corners of a cell in the order of ``_shear``."""
 
 
 @dataclass(frozen=True)
@@ -117,6 +125,8 @@ def make_template(
     found += require(check_scene(scene))
     iou, _ = silhouette_overlap(positions, still.camera, still.mask)
     found += require([*_check_overlap(iou, minimum_iou), *_check_facing(scene), *_check_border(still)])
+    shear = _shear(laid.positions)
+    found += _check_shear(shear)
     warnings = dict.fromkeys(f for f in found if f.severity is Severity.WARNING)
     return MadeTemplate(
         scene,
@@ -124,7 +134,7 @@ def make_template(
         still.times,
         laid,
         (edges[0], edges[1]),
-        _shear(laid.positions),
+        shear.ravel(),
         iou,
         tuple(warnings),
     )
@@ -218,13 +228,33 @@ def _check_border(still: Still) -> list[Finding]:
     ]
 
 
+def _check_shear(shear: Floats) -> list[Finding]:
+    """Shear (4, H - 1, W - 1) [degrees] that a cloth at rest has."""
+    most = float(np.abs(shear).max())
+    if most <= MOST_SHEAR:
+        return []
+    corner, i, j = np.unravel_index(int(np.abs(shear).argmax()), shear.shape)
+    down, along = _CELL[int(corner)]
+    count = int((np.abs(shear).max(0) > MOST_SHEAR).sum())
+    return [
+        Finding(
+            Severity.WARNING,
+            "Template is sheared more than a cloth at rest",
+            f"vertex [{int(i) + down}, {int(j) + along}]",
+            f"at most {MOST_SHEAR:g}°; a corner in the wrong place (corners=...) shears the grid beside it, "
+            "and a fit takes the template's angles for those of the cloth at rest",
+            f"{most:.0f}° there, {count} cell{'s' if count > 1 else ''} above {MOST_SHEAR:g}°",
+        )
+    ]
+
+
 def _shear(positions: Floats) -> Floats:
-    """How far from a right angle the four corners of every cell are [degrees], signed, flattened."""
-    p = positions
-    cells = (p[:-1, :-1], p[1:, :-1], p[1:, 1:], p[:-1, 1:])
+    """How far from a right angle the corners of every cell are [degrees], signed, (4, H - 1, W - 1)."""
+    H, W = positions.shape[:2]
+    cells = [positions[i : H - 1 + i, j : W - 1 + j] for i, j in _CELL]
     found = []
     for k in range(4):
         a, b = cells[k - 1] - cells[k], cells[(k + 1) % 4] - cells[k]
         cosine = (a * b).sum(-1) / (np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1))
         found.append(np.degrees(np.arccos(np.clip(cosine, -1, 1))) - 90)
-    return np.concatenate([values.ravel() for values in found])
+    return np.stack(found)

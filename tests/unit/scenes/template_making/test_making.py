@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +21,7 @@ from toile.scenes.template_making.mesh import MeshSurface
 from toile.scenes.template_making.points import PointsSurface
 from toile.scenes.template_making.sheet import SheetSurface
 from toile.scenes.template_making.still import Still, read_still
-from toile.scenes.template_making.surface import Layout
+from toile.scenes.template_making.surface import Layout, SurfaceGrid
 from toile.scenes.template_making.writing import write_template
 
 SHAPE = (16, 13)
@@ -145,6 +145,32 @@ def test_written_scene_is_sound(still, mesh_file) -> None:
     assert scene.fps == 30
     torch.testing.assert_close(scene.template, result.scene.template, rtol=0, atol=0)
     torch.testing.assert_close(scene.texture, scene.frames[0], rtol=0, atol=0)
+
+
+@dataclass(frozen=True)
+class MovedCorner:
+    """A surface whose vertex [0, 0] is moved along the upper side by a share of an edge."""
+
+    surface: MeshSurface
+    share: float
+
+    def lay_grid(self, still: Still, layout: Layout) -> SurfaceGrid:
+        laid = self.surface.lay_grid(still, layout)
+        positions = laid.positions.copy()
+        positions[0, 0] += self.share * (positions[1, 0] - positions[0, 0])
+        return replace(laid, positions=positions)
+
+
+def test_a_corner_in_the_wrong_place_is_a_warning(still, mesh_file) -> None:
+    surface = mesh_surface(mesh_file)
+    assert not [f for f in made(still, surface).warnings if "sheared" in f.what]
+    # Half an edge is less than the limit allows, a whole edge gives 45°.
+    assert not [f for f in made(still, MovedCorner(surface, 0.5)).warnings if "sheared" in f.what]
+    moved = made(still, MovedCorner(surface, -1.0))
+    (warning,) = [f for f in moved.warnings if "sheared" in f.what]
+    assert warning.where in ("vertex [0, 0]", "vertex [0, 1]")
+    assert 43 < np.abs(moved.shear).max() < 47
+    assert f"{np.abs(moved.shear).max():.0f}° there, 1 cell above 40°" in warning.got
 
 
 def test_existing_template_is_kept(still, mesh_file) -> None:
