@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,7 @@ from torch import Tensor
 
 from toile.errors import InputError
 from toile.geometry.camera import Camera
+from toile.json_file import read_json_object
 from toile.scenes.findings import require
 from toile.scenes.images import numbered_files, read_mask, read_rgb
 from toile.scenes.masks import drop_small_components
@@ -85,7 +85,7 @@ def _frame_rate(folder: Path, fps: float | None, size: tuple[int, int]) -> float
     expected = f"{VIDEO} with fps, width and height, or fps=<frames per second>"
     if path.is_file():
         try:
-            description = json.loads(path.read_text())
+            description = read_json_object(path)
             rate = float(description["fps"])
             declared = [
                 description.get(key, value) for key, value in zip(("height", "width"), size, strict=True)
