@@ -14,6 +14,8 @@ from lightning import Trainer
 from lightning.pytorch.trainer.states import TrainerStatus
 from omegaconf import DictConfig, OmegaConf
 
+from toile.cli.alone import alone
+from toile.cli.checkpoints import check_checkpoint
 from toile.cli.configuration import instantiate, output_folder, resolved_yaml
 from toile.cli.dashboard import write_final_numbers
 from toile.cli.fit_results import (
@@ -28,7 +30,7 @@ from toile.cli.terminal import print_evaluation, print_path
 from toile.errors import InputError
 from toile.evaluation.evaluate import EvaluationResult, evaluate
 from toile.fitting.effects import FitEffects
-from toile.fitting.module import Cycles, FitModule
+from toile.fitting.module import STATE, Cycles, FitModule
 from toile.fitting.quiet import quiet_lightning
 from toile.fitting.reconstruction import Reconstruction
 from toile.fitting.scene_cloth import scene_units
@@ -38,6 +40,7 @@ from toile.scenes.scene import Scene
 log = logging.getLogger(__name__)
 
 
+@alone
 def run(cfg: DictConfig) -> float | None:
     """Fit, evaluate, and fill the run folder; an interrupted fit leaves what it has and can be continued.
 
@@ -167,6 +170,7 @@ def optimise(cfg: DictConfig, module: FitModule, checkpoint: Path | None) -> boo
     logger: Any = instantiate(cfg.logger) if cfg.get("logger") else False
     trainer: Trainer = instantiate(cfg.trainer)(callbacks=callbacks, logger=logger)
     if checkpoint is not None:
+        check_checkpoint(checkpoint, module, STATE, "fit")
         log.info("continuing from %s", checkpoint)
     on_interrupt = signal.getsignal(signal.SIGINT)
     try:
