@@ -49,6 +49,7 @@ class Case:
         then: commands that must succeed afterwards.
         leaves: patterns of files that a success leaves.
         at_most: seconds that a command may take.
+        harmless: it does not touch the result, so that a warning on the console is enough.
     """
 
     group: str
@@ -68,3 +69,4 @@ class Case:
     then: tuple[tuple[str, ...], ...] = ()
     leaves: tuple[str, ...] = ()
     at_most: float = 120.0
+    harmless: bool = False

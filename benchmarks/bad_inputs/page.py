@@ -28,9 +28,9 @@ def page(results: Sequence[Result], machine: str, version: str) -> str:
         "Made by `make robustness`. Every row is a command in a process and a folder of its own that begin "
         "with sound input in which one thing was made wrong. *good*: refused in one clear message (at most "
         f"{LONGEST} lines, which name what is wrong), an exit status that is not 0, and no file lost; or, "
-        "where the input is unusual but right, done. *warned*: done, with a warning on the console that "
-        "also stands in the log and on the page of commands that have them. *bad*: anything else, such as "
-        "a traceback, silence, or lost data. Most commands run in a fork of a process that has imported "
+        "where the input is unusual but right, done. *warned*: done, with a warning on the console that, "
+        "if the result may suffer, also stands in the log and on the page of commands that have them. "
+        "*bad*: anything else, such as a traceback, silence, or lost data. Most commands run in a fork of a process that has imported "
         "toile already; where the start matters (encodings, caches), it is a new process.",
         f"**{summary(results)}** toile {version}, {machine}.",
         _table(

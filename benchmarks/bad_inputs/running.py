@@ -21,7 +21,7 @@ from bad_inputs.stock import make_stock
 from bad_inputs.verdict import Answer, Kind, Verdict, judge, message, plain
 
 DISK = "disk"
-_READ_ONLY = 4 * 1024 * 1024  # bytes of a disk that is only there to be read-only
+_READ_ONLY = 64 * 1024 * 1024  # bytes of a disk that is only there to be read-only
 
 
 @dataclass(frozen=True)
@@ -247,6 +247,8 @@ def _first_lines(text: str, folder: Path) -> tuple[str, ...]:
     """Without what differs from machine to machine."""
     lines = [line.replace(f"{folder}/", "").replace(str(folder), ".") for line in plain(text).splitlines()]
     lines = [" ".join(line.split()) for line in lines if line.strip()]
+    if any(line.startswith("Traceback") for line in lines):
+        lines = ["Traceback …", lines[-1]]
     return tuple(line if len(line) <= 160 else f"{line[:159]}…" for line in lines[:3])
 
 

@@ -24,7 +24,8 @@ CASES = [
     _fit("half a sub-step", "simulator.substeps=1.5", says=("substeps", "1.5")),
     _fit("longest sub-step 0", "simulator.longest_substep=0", says=("longest_substep",)),
     _fit("windows with a lag of 0", "optimization.stages.track.windows.lag=0", says=("lag",)),
-    _fit("no window", "optimization.stages.track.windows.size=0", says=("size",)),
+    _fit("windows that do not move", "optimization.stages.track.windows.stride=0", says=("stride",)),
+    _fit("a negative tolerance", "simulator.build.newton.tolerance=-1", says=("tolerance",)),
     _fit("no iteration", "optimization.stages.track.iterations=0", says=("iterations",)),
     _fit("no points", "optimization.stages.track.term.per_side=0", says=("per_side",)),
     _fit("no stage", "optimization.stages.track=null", "optimization.stages.calibrate=null", says=("stage",)),
@@ -46,10 +47,10 @@ CASES = [
     _fit("an unknown group", "optimisation=tracking", says=("optimisation", "optimization")),
     _fit("an unknown effect", "effect=air_darg", says=("air_darg", "air_drag")),
     _fit("an unknown simulator", "simulator=newton", says=("newton", "implicit")),
-    _fit(
+    Case(
+        GROUP,
         "an ablation that means nothing here",
-        "optimization=adam",
-        "ablation=no_calibration",
+        ("fit", "scene=cloth", "hydra.run.dir=new", "optimization=adam", "ablation=no_calibration"),
         says=("ablation",),
     ),
     _fit("terms that would be ignored", "loss=paper", says=("loss",)),

@@ -4,8 +4,8 @@ good
     One clear message (at most ``LONGEST`` lines, it names what is wrong) and an exit status that is not 0;
     or, where nothing is wrong, success.
 warned
-    Done, with a warning on the console that names what is wrong and that also stands in the log and on the
-    page of commands that have them.
+    Done, with a warning on the console that names what is wrong and that, if the result may suffer, also
+    stands in the log and on the page of commands that have them.
 bad
     Anything else: a traceback, silence, pages of text, a message that does not say what is wrong, lost data,
     no end.
@@ -23,8 +23,8 @@ from bad_inputs.case import Case, Want
 
 Kind = Literal["good", "warned", "bad"]
 
-LONGEST = 14
-"""Lines of a message that is still one message; a table of findings (doctor) may have more."""
+LONGEST = 24
+"""Lines of a message that is still one: a terminal's screen. A table of findings (doctor) may have more."""
 LONGEST_TABLE = 60
 
 # Where a warning must stand besides the console.
@@ -119,9 +119,9 @@ def _warning(case: Case, text: str, began: float, folder: Path) -> Verdict:
     command = case.arguments[0]
     # What NumPy remarks on with a line of our code is no warning to a user.
     places = {"console": _LIBRARY.sub("", plain(text))}
-    if command in _LOGS:
+    if command in _LOGS and not case.harmless:
         places["log"] = _written(folder, ("*.log",), began)
-    if command in _PAGES:
+    if command in _PAGES and not case.harmless:
         places["page"] = html.unescape(_written(folder, ("index.html", "report.html"), began))
     says = (*case.says, "warning") if command != "doctor" else case.says
     wanted = {place: says if place == "console" else case.says for place in places}

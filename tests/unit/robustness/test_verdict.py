@@ -60,6 +60,10 @@ def test_what_goes_on_must_warn_everywhere(tools: SimpleNamespace, tmp_path: Pat
     assert judged(tools, tmp_path, 0, warning) == "bad: the warning is not in the page"
     (tmp_path / "run" / "index.html").write_text("<p>nowhere is odd</p>")
     assert judged(tools, tmp_path, 0, warning) == "warned"
+    (tmp_path / "run" / "index.html").unlink()
+    assert judged(tools, tmp_path, 0, warning, harmless=True) == "warned"
+    remark = "/a/nowhere.py:41: RuntimeWarning: invalid value\n  down = gravity / nowhere\n"
+    assert judged(tools, tmp_path, 0, remark).startswith("bad: silent")
     assert judged(tools, tmp_path, 0, warning, want=tools.case.Want.REFUSAL) == "bad: exit status 0"
 
 
