@@ -30,8 +30,9 @@ def page(results: Sequence[Result], machine: str, version: str) -> str:
         f"{LONGEST} lines, which name what is wrong), an exit status that is not 0, and no file lost; or, "
         "where the input is unusual but right, done. *warned*: done, with a warning on the console that, "
         "if the result may suffer, also stands in the log and on the page of commands that have them. "
-        "*bad*: anything else, such as a traceback, silence, or lost data. Most commands run in a fork of a process that has imported "
-        "toile already; where the start matters (encodings, caches), it is a new process.",
+        "*bad*: anything else, such as a traceback, silence, or lost data. Most commands run in a fork of a "
+        "process that has imported toile already; where the start matters (encodings, caches), it is a new "
+        "process.",
         f"**{summary(results)}** toile {version}, {machine}.",
         _table(
             ("group", "cases", *KINDS),

@@ -104,7 +104,8 @@ def plain(text: str) -> str:
 def _refusal(case: Case, answer: Answer) -> Verdict:
     if case.want is Want.SUCCESS:
         return Verdict("bad", "refused, although nothing is wrong")
-    table = case.arguments[0] == "doctor"
+    # A table of findings stands on standard output.
+    table = case.arguments[0] == "doctor" and bool(answer.out.strip())
     said = plain(answer.out) if table else message(answer)
     n_lines = len([line for line in said.splitlines() if line.strip()])
     if n_lines == 0:
