@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 
 from bad_inputs.running import Result
 from bad_inputs.verdict import LONGEST
 
+# Where the code lies on the machine that this was made on.
+_INSTALLED = re.compile(r"/\S*/(?=site-packages/|src/toile/|conf/|benchmarks/)")
 KINDS = ("good", "warned", "bad")
 
 
@@ -67,4 +70,5 @@ def _table(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
 
 
 def _cell(text: str) -> str:
+    text = _INSTALLED.sub("", text)
     return text.replace("\\", "\\\\").replace("|", "\\|").replace("<", "&lt;").replace("`", "'")
