@@ -76,6 +76,10 @@ simulators: setup ## Fit R1 and a generated scene with solver, hybrid and surrog
 stability: setup ## Fits 40 times longer than usual (SCENE=R1: half a day)
 	$(BIN)/python benchmarks/stability.py $(if $(SCENE),--scene $(SCENE))
 
+.PHONY: robustness
+robustness: setup ## Give every command bad input: docs/robustness.md; resumes
+	$(BIN)/python benchmarks/robustness.py
+
 # Ablations: what a sweep covers. RECIPE=adam is the paper's optimisation.
 RECIPE ?= tracking
 SCENES ?= R1

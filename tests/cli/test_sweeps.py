@@ -104,6 +104,22 @@ def test_rows_of_a_table_are_one_set_of_settings(toile: Toile) -> None:
     assert "bending: 1.0, 2" in outcome.err or "bending: 1, 2" in outcome.err
 
 
+def test_tables_stand_beside_the_runs_unless_asked_for_elsewhere(toile: Toile, tmp_path: Path) -> None:
+    assert toile("fit", *SHORT, "hydra.run.dir=runs/a").status == 0
+    before = set(tmp_path.iterdir())
+    outcome = toile("tables", "runs")
+    assert outcome.status == 0, outcome.err
+    assert {p.name for p in (tmp_path / "runs" / "tables").iterdir()} == {
+        f"ablations.{s}" for s in ("csv", "md", "tex")
+    }
+    # Nor are the tables taken for a run.
+    assert toile("tables", "runs").status == 0
+    outcome = toile("tables", "runs/a", "runs")
+    assert outcome.status == 2
+    assert "output=<folder>" in outcome.err
+    assert set(tmp_path.iterdir()) == before
+
+
 def test_an_unknown_metric_is_one_clear_message(toile: Toile) -> None:
     assert toile("fit", *SHORT, "hydra.run.dir=runs/a").status == 0
     outcome = toile("tables", "runs", "metrics=[nonsense]")

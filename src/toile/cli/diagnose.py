@@ -11,6 +11,7 @@ from omegaconf import DictConfig
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
+from toile.cli.alone import alone
 from toile.cli.configuration import CONF, instantiate, output_folder, register_resolvers, resolved_yaml
 from toile.cli.fit import build_reconstruction
 from toile.cli.terminal import print_path
@@ -26,6 +27,7 @@ from toile.reports.run_folder import create_run_folder, write_config, write_git_
 from toile.scenes.scene import Scene
 
 
+@alone
 def run(cfg: DictConfig) -> None:
     """Diagnose, write diagnosis.json, and say the verdict; an interrupted diagnosis keeps its tracking."""
     folder = create_run_folder(output_folder())

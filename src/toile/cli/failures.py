@@ -12,6 +12,8 @@ from omegaconf.errors import (
     OmegaConfBaseException,
 )
 
+from toile.atomic_file import disk_failure
+
 BAD_INPUT = 2
 SIMULATION_FAILED = 3
 INTERRUPTED = 130
@@ -40,6 +42,11 @@ def explain(error: BaseException) -> Failure | None:
     from toile.errors import InputError
     from toile.simulators.base import SimulationError
 
+    disk = disk_failure(error)
+    if disk is not None:
+        # Python does not always know the file.
+        where = f": {disk.filename}" if disk.filename else ""
+        return Failure(f"error: {disk.strerror}{where}", BAD_INPUT)
     failure = None
     for cause in _chain(error):
         match cause:

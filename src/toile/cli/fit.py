@@ -9,6 +9,7 @@ import time
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
+from toile.cli.alone import alone
 from toile.cli.configuration import instantiate, output_folder, resolved_yaml
 from toile.cli.dashboard import write_final_numbers
 from toile.cli.fit_results import (
@@ -41,6 +42,7 @@ from toile.simulators.frame_steps import FrameSteps
 log = logging.getLogger(__name__)
 
 
+@alone
 def run(cfg: DictConfig) -> float | None:
     """Fit, evaluate, and fill the run folder; an interrupted fit leaves what it has and can be continued.
 

@@ -13,12 +13,13 @@ from lightning.pytorch.trainer.states import TrainerStatus
 from omegaconf import DictConfig, OmegaConf
 from torch import Tensor
 
+from toile.cli.checkpoints import check_checkpoint
 from toile.cli.configuration import instantiate
 from toile.cli.fit_results import final_trajectory
 from toile.cli.resume import checkpoint_path
 from toile.cli.trainer import make_trainer
 from toile.fitting.lost_cloth import LostClothGuard
-from toile.fitting.module import Cycles, FitModule
+from toile.fitting.module import STATE, Cycles, FitModule
 from toile.fitting.recipe import Recipe
 from toile.fitting.reconstruction import Reconstruction
 from toile.reports.run_folder import RunFolder
@@ -109,6 +110,7 @@ def optimise(cfg: DictConfig, module: FitModule, checkpoint: Path | None) -> boo
     logger: Any = instantiate(cfg.logger) if cfg.get("logger") else False
     trainer = make_trainer(cfg.trainer, callbacks, logger)
     if checkpoint is not None:
+        check_checkpoint(checkpoint, module, STATE, "fit")
         log.info("continuing from %s", checkpoint)
     on_interrupt = signal.getsignal(signal.SIGINT)
     try:

@@ -13,6 +13,8 @@ from typing import Any
 
 from toile import __version__
 from toile.cli.commands import COMMANDS, overview
+from toile.cli.streams import accept_any_text
+from toile.cli.threads import disk_failures_of_threads
 
 USAGE_ERROR = 2
 RESUMABLE = {"fit": "fit", "train": "training"}
@@ -25,6 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     0: done. 2: bad input or usage. 3: the simulation failed. 130: interrupted. Anything else is a mistake in
     the program and ends in a traceback; with HYDRA_FULL_ERROR=1 every failure does.
     """
+    accept_any_text()
     given = list(sys.argv[1:] if arguments is None else arguments)
     if not given or given[0] in ("-h", "--help", "help"):
         print(overview())
@@ -39,7 +42,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         )
         return USAGE_ERROR
     try:
-        return _run(name, rest)
+        with disk_failures_of_threads() as failures:
+            status = _run(name, rest)
+        return status or (_report(failures[0], full=False) if failures else 0)
     except KeyboardInterrupt:
         from toile.cli.failures import INTERRUPTED
 

@@ -16,6 +16,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from toile.atomic_file import write_text
+from toile.cli.alone import FolderInUseError
 from toile.cli.failures import explain
 from toile.errors import InputError
 from toile.reports.run_folder import RunFolder
@@ -45,6 +46,8 @@ def noting_failures() -> Iterator[None]:
     note.unlink(missing_ok=True)
     try:
         yield
+    except FolderInUseError:
+        raise  # it is the other process that says how the run in there ends
     except Exception as error:
         failure = explain(error)
         text = "".join(traceback.format_exception(error)) if failure is None else failure.message

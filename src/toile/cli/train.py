@@ -15,6 +15,8 @@ import torch
 from lightning import Trainer
 from omegaconf import DictConfig
 
+from toile.cli.alone import alone
+from toile.cli.checkpoints import check_checkpoint
 from toile.cli.configuration import instantiate, output_folder, resolved_yaml
 from toile.cli.machine import machine
 from toile.cli.resume import last_checkpoint
@@ -34,7 +36,7 @@ from toile.reports.run_folder import (
 from toile.simulators.surrogate.surrogate import Surrogate
 from toile.simulators.surrogate.weights import save_weights
 from toile.training.callbacks.stopping import StopBetweenSteps
-from toile.training.module import SurrogateTraining
+from toile.training.module import STATE, SurrogateTraining
 from toile.training.pictures import residual_curve
 from toile.training.settings import TrainingSettings
 from toile.training.steps import Steps
@@ -45,6 +47,7 @@ WEIGHTS = "surrogate.pt"
 """Averaged weights in the run folder."""
 
 
+@alone
 def run(cfg: DictConfig) -> None:
     """Train, and fill the run folder; an interrupted run leaves what it has and can be continued."""
     quiet_lightning()
@@ -61,6 +64,7 @@ def run(cfg: DictConfig) -> None:
         write_config(folder, config)
         write_git_revision(folder)
     if checkpoint is not None:
+        check_checkpoint(checkpoint, module, STATE, "training")
         log.info("continuing from %s", checkpoint)
     with _restartable_command():
         trainer.fit(module, Steps(module), ckpt_path=checkpoint, weights_only=True)

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from toile.atomic_file import write_text
 from toile.errors import InputError
+from toile.json_file import read_json_object
 
 TIMES_FILE = "times.json"
 
@@ -83,7 +84,7 @@ def read_times(path: Path) -> dict[str, StageTime]:
         InputError: there is no such file, or another one.
     """
     try:
-        values = json.loads(path.read_text())["stages"]
+        values = read_json_object(path)["stages"]
         return {
             str(name): StageTime(_seconds(v["wall"]), _seconds(v["cpu"]), bool(v["cached"]))
             for name, v in values.items()

@@ -16,6 +16,7 @@ from toile.evaluation.blind_measures import confusion, detection, mark, measured
 from toile.evaluation.blind_run import Predictions, read_predictions
 from toile.evaluation.blind_sealing import BlindSet, SealKey, read_commitments
 from toile.evaluation.blind_tables import by_effect, by_generator, limits, over_naive
+from toile.json_file import read_json_object
 
 SHRINKS = {
     "shrink_true": "true effect",
@@ -174,7 +175,7 @@ def _spend(blind: BlindSet, digest: str) -> None:
         return
     path = blind.spent
     if path.is_file():
-        before = json.loads(path.read_text())["predictions"]
+        before = _graded_before(path)
         if before != digest:
             raise InputError(
                 "Other predictions have been graded already",
@@ -184,6 +185,18 @@ def _spend(blind: BlindSet, digest: str) -> None:
             )
         return
     write_text(path, json.dumps({"predictions": digest}) + "\n")
+
+
+def _graded_before(path: Path) -> str:
+    try:
+        return str(read_json_object(path)["predictions"])
+    except (OSError, ValueError, KeyError) as error:
+        raise InputError(
+            "It cannot be read which predictions were graded already",
+            where=str(path),
+            expected="opened.json as toile blind grade has written it",
+            got=f"{type(error).__name__}: {error}",
+        ) from error
 
 
 def _shrink_figure(marks: pd.DataFrame, path: Path) -> Path | None:

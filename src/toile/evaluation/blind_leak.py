@@ -8,7 +8,6 @@ Whether it would find a leak at all is measured with leaks that are planted.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +19,7 @@ from numpy.typing import NDArray
 
 from toile.errors import InputError
 from toile.evaluation.blind_sealing import BlindSet, SealKey
+from toile.json_file import read_json_object
 from toile.scenes.images import numbered_files, read_mask, read_rgb
 
 Array = NDArray[np.float64]
@@ -62,7 +62,7 @@ def file_statistics(folder: Path) -> dict[str, float]:
     third = max(1, len(images) // 3)
     files = [p for p in folder.rglob("*") if p.is_file()]
     stamps = np.array([p.stat().st_mtime for p in files], np.float64)
-    values = json.loads((folder / "scene.json").read_text())
+    values = read_json_object(folder / "scene.json")
     return {
         "files": float(len(files)),
         "time_stamp": float(np.median(stamps)),

@@ -24,6 +24,7 @@ from toile.atomic_file import write_text
 from toile.errors import InputError
 from toile.evaluation.blind_sealing import KEY_SUFFIX, BlindSet, is_key_file
 from toile.evaluation.diagnosis_record import DIAGNOSIS_FILE, GapReport
+from toile.json_file import parse_json_object
 
 Diagnose = Callable[[Path, Path, Any], None]
 """Writes diagnosis.json for a scene: ``diagnose(scene_folder, output_folder, settings)``."""
@@ -176,7 +177,7 @@ def read_predictions(blind: BlindSet, predictions: Predictions) -> dict[str, Gap
     """
     try:
         text, digest = predictions.list.read_text(), predictions.hash.read_text().strip()
-    except OSError as error:
+    except (OSError, ValueError) as error:
         raise InputError(
             "No predictions",
             where=str(predictions.folder),
@@ -185,7 +186,7 @@ def read_predictions(blind: BlindSet, predictions: Predictions) -> dict[str, Gap
         ) from error
     if _hash_of(text.encode()) != digest:
         raise _changed(predictions.list, digest, _hash_of(text.encode()))
-    entries = json.loads(text)["predictions"]
+    entries = _entries(text, predictions.list)
     if set(entries) != set(blind.names()):
         raise _changed(predictions.list, f"{len(blind.names())} scenes of this set", f"{len(entries)} others")
     found: dict[str, GapReport | None] = {}
@@ -199,6 +200,21 @@ def read_predictions(blind: BlindSet, predictions: Predictions) -> dict[str, Gap
             raise _changed(path, entry["sha256"], got)
         found[name] = GapReport.read(path)
     return found
+
+
+def _entries(text: str, path: Path) -> dict[str, Any]:
+    try:
+        entries = parse_json_object(text.encode())["predictions"]
+        if not isinstance(entries, dict) or not all(e is None or "sha256" in e for e in entries.values()):
+            raise ValueError("other than one entry per scene")
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            "Predictions cannot be understood",
+            where=str(path),
+            expected="predictions.json as toile blind run has written it",
+            got=f"{type(error).__name__}: {error}",
+        ) from error
+    return entries
 
 
 def check_sealed(blind: BlindSet) -> None:

@@ -32,7 +32,10 @@ from numpy.typing import NDArray
 
 from toile.atomic_file import write_text, written_atomically
 from toile.errors import InputError
+from toile.json_file import read_json_object
 
+# Keys of set.json that anything depends on.
+_DESCRIBED = {"composition": str, "reality": dict, "blind": bool, "key": str, "scenes": list}
 SCHEME = "sha256(label bytes + nonce bytes)"
 KEY_SUFFIX = ".blindkey"
 _KEY_HEADER = "toile blind key "
@@ -204,7 +207,13 @@ class BlindSet:
             InputError: this is no set.
         """
         try:
-            values: dict[str, Any] = json.loads(self.description.read_text())
+            values = read_json_object(self.description)
+            missing = [key for key in _DESCRIBED if not isinstance(values.get(key), _DESCRIBED[key])]
+            if missing:
+                raise ValueError(f"nothing usable under {', '.join(missing)}")
+            # A name becomes a path.
+            if not all(isinstance(n, str) and n and n == Path(n).name for n in values["scenes"]):
+                raise ValueError("scenes with other than plain names")
         except (OSError, ValueError) as error:
             raise InputError(
                 "No blind set",
@@ -284,12 +293,12 @@ def read_commitments(path: Path) -> dict[str, str]:
         InputError: there is no such file, or another scheme.
     """
     try:
-        values = json.loads(path.read_text())
+        values = read_json_object(path)
     except (OSError, ValueError) as error:
         raise InputError(
             "No commitments", where=str(path), expected="commitments.json", got=str(error)
         ) from error
-    if values.get("scheme") != SCHEME:
+    if values.get("scheme") != SCHEME or not isinstance(values.get("commitments"), dict):
         raise InputError(
             "Unknown commitments", where=str(path), expected=SCHEME, got=str(values.get("scheme"))
         )

@@ -27,6 +27,7 @@ from typing import Any
 
 from toile.atomic_file import write_text
 from toile.errors import InputError
+from toile.json_file import read_json_object
 
 DIAGNOSIS_FILE = "diagnosis.json"
 
@@ -247,7 +248,7 @@ class GapReport:
             InputError: there is none, it is no JSON, or see ``from_json``.
         """
         try:
-            values = json.loads(path.read_text())
+            values = read_json_object(path)
         except (OSError, ValueError) as error:
             raise InputError(
                 "No diagnosis can be read",

@@ -11,12 +11,14 @@ import torch
 from lightning import LightningModule
 from torch import Tensor
 
+from toile.errors import InputError
 from toile.fitting.effects import FitEffects
 from toile.fitting.parameters import ClothParameters
 from toile.fitting.recipe import CycleReport, Recipe
 from toile.fitting.reconstruction import Reconstruction
 
-_STATE = "toile_fit"  # key in Lightning's checkpoint
+STATE = "toile_fit"
+"""Key in Lightning's checkpoint."""
 PER_FRAME = "loss per frame"
 """Column of the history: the loss over the number of frames that it is a sum over."""
 _COUNTS = "_iterations"  # a recipe's numbers that are work, not losses, end like this
@@ -84,7 +86,7 @@ class FitModule(LightningModule):
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Add the state after the last complete cycle: plain tensors, numbers, lists and dictionaries."""
         checkpoint["state_dict"] = self._complete["parameters"]
-        checkpoint[_STATE] = {
+        checkpoint[STATE] = {
             "recipe": self._complete["recipe"],
             "cycles_done": self._complete["cycles_done"],
             "history": [dict(r) for r in self.history[: self._complete["cycles_done"]]],
@@ -93,14 +95,27 @@ class FitModule(LightningModule):
         }
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Inverse of on_save_checkpoint; Lightning restores the parameters."""
-        state = checkpoint[_STATE]
-        self.cycles_done = int(state["cycles_done"])
-        self.history = [dict(r) for r in state["history"]]
-        self.seed = int(state["seed"])
-        torch.set_rng_state(state["random_state"])
-        self.load_state_dict(checkpoint["state_dict"])
-        self.recipe.load_state_dict(copy.deepcopy(state["recipe"]))
+        """Inverse of on_save_checkpoint; Lightning restores the parameters.
+
+        Raises:
+            InputError: the checkpoint is that of another fit.
+        """
+        try:
+            state = checkpoint[STATE]
+            self.cycles_done = int(state["cycles_done"])
+            self.history = [dict(r) for r in state["history"]]
+            self.seed = int(state["seed"])
+            torch.set_rng_state(state["random_state"])
+            self.load_state_dict(checkpoint["state_dict"])
+            self.recipe.load_state_dict(copy.deepcopy(state["recipe"]))
+        except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
+            self.cycles_done = 0  # or else the callback would save this over the checkpoint
+            raise InputError(
+                "The checkpoint does not fit this run",
+                where="checkpoints/last.ckpt",
+                expected=f"one with {self.n_cycles} cycles of {type(self.recipe).__name__}",
+                got=f"{type(error).__name__}: {str(error).splitlines()[0]}",
+            ) from error
         self._complete = self._snapshot()
 
     def _snapshot(self) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from toile.errors import InputError
 from toile.generation.refinement import refined_material, refined_size
 from toile.generation.settings import GeneratorSettings
 from toile.generation.starting_point import StartingPoint
+from toile.json_file import read_json_object
 from toile.scenes.atomic_folder import folder_written_atomically
 from toile.scenes.native import write_native
 from toile.scenes.scene import Scene
@@ -89,7 +90,7 @@ def read_truth(folder: Path | str) -> dict[str, Any]:
     """
     path = Path(folder) / TRUTH_FILE
     try:
-        truth: dict[str, Any] = json.loads(path.read_text())
+        return read_json_object(path)
     except (OSError, ValueError) as error:
         raise InputError(
             "True parameters cannot be read",
@@ -97,7 +98,6 @@ def read_truth(folder: Path | str) -> dict[str, Any]:
             expected="the truth.json of a generated scene",
             got=f"{type(error).__name__}: {error}",
         ) from error
-    return truth
 
 
 def _si(material: Material) -> dict[str, float]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import shutil
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -26,6 +28,7 @@ CAPTION_HEIGHT = 26
 BACKGROUND = (255, 255, 255)
 CAPTION_COLOUR = (28, 36, 48)
 WIRE_COLOUR = (0, 229, 255, 190)
+_FULL = 64 * 1024  # bytes that are left of a disk that an encoder has filled
 
 
 def wireframe(observed: Tensor, positions: Tensor, camera: Camera, height: int | None = None) -> Picture:
@@ -152,6 +155,9 @@ def write_video(pictures: Iterable[Picture], path: Path, fps: float) -> Path:
         path: the .mp4 file to write.
         fps: frames per second.
 
+    Raises:
+        OSError: it cannot be written completely.
+
     Returns:
         The file that was written: ``path``, or ``path`` with the suffix .gif.
     """
@@ -164,14 +170,33 @@ def write_video(pictures: Iterable[Picture], path: Path, fps: float) -> Path:
             "quality": 8,
             "macro_block_size": 2,
             "output_params": ["-movflags", "+faststart"],
+            "ffmpeg_log_level": "quiet",
         }
     else:
         path = path.with_suffix(".gif")
         # GIF counts in hundredths of a second.
         options = {"plugin": "pillow", "duration": max(20, 10 * round(100 / fps)), "loop": 0}
     with written_atomically(path) as temporary:
-        iio.imwrite(temporary, np.stack(list(pictures)), **options)
+        stack = np.stack(list(pictures))
+        iio.imwrite(temporary, stack, **options)
+        if path.suffix == ".mp4":
+            _check_complete(temporary, len(stack))
     return path
+
+
+def _check_complete(video: Path, n_frames: int) -> None:
+    """Nobody asks the encoder how it has ended; a full disk leaves a file that no player opens.
+
+    Raises:
+        OSError: the file does not hold so many frames.
+    """
+    try:
+        found, _ = imageio_ffmpeg.count_frames_and_secs(str(video))
+    except RuntimeError:
+        found = 0
+    if found != n_frames:
+        full = shutil.disk_usage(video.parent).free < _FULL
+        raise OSError(errno.ENOSPC if full else errno.EIO, f"{found} of {n_frames} frames", str(video))
 
 
 def has_video_encoder() -> bool:

@@ -37,6 +37,7 @@ import yaml
 
 from toile.atomic_file import write_text, written_atomically
 from toile.errors import InputError
+from toile.json_file import read_json_object
 
 T = TypeVar("T")
 
@@ -236,14 +237,7 @@ def write_metrics(run: RunFolder, metrics: Mapping[str, Any]) -> Path:
 
 def read_metrics(run: RunFolder) -> dict[str, Any]:
     """Read the numbers."""
-
-    def load(path: Path) -> dict[str, Any]:
-        data = json.loads(path.read_text(encoding="utf-8"))
-        if not isinstance(data, dict):
-            raise ValueError(f"a {type(data).__name__} at the top level")
-        return data
-
-    return _read(run.metrics, "a JSON object", load)
+    return _read(run.metrics, "a JSON object", read_json_object)
 
 
 def write_trajectory(

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from toile.atomic_file import disk_failures_name
 from toile.errors import InputError
 
 
@@ -25,16 +26,12 @@ def folder_written_atomically(folder: Path, *, overwrite: bool) -> Iterator[Path
             expected="a folder that does not exist, or overwrite=True",
             got="an existing file or folder",
         )
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    scratch = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
-    try:
+    with _scratch(folder) as scratch:
         new = scratch / "new"
         yield new
         if folder.exists():
             folder.rename(scratch / "old")
         new.rename(folder)
-    finally:
-        shutil.rmtree(scratch)
 
 
 @contextmanager
@@ -61,17 +58,25 @@ def entries_written_atomically(folder: Path, names: Sequence[str], *, overwrite:
             expected="another folder, or overwrite=true",
             got=", ".join(there),
         )
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    scratch = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
-    try:
+    with _scratch(folder) as scratch:
         new, old = scratch / "new", scratch / "old"
         new.mkdir()
         old.mkdir()
         yield new
         folder.mkdir(exist_ok=True)
         _exchange(folder, new, old, names)
-    finally:
-        shutil.rmtree(scratch)
+
+
+@contextmanager
+def _scratch(folder: Path) -> Iterator[Path]:
+    """A folder beside another one, gone at the end; a full disk names the other one."""
+    with disk_failures_name(folder):
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        scratch = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+        try:
+            yield scratch
+        finally:
+            shutil.rmtree(scratch)
 
 
 def _exchange(folder: Path, new: Path, old: Path, names: Sequence[str]) -> None:

@@ -20,9 +20,9 @@ Keys of ``scene.json``:
 - ``units``: a text that says "metres"
 - optional: ``times`` (of the frames [s], increasing, the first 0; without it they are evenly spaced at
   ``fps``, with it ``fps`` is the mean rate), ``id`` (name of the scene), ``convention`` (text for people),
-  ``files`` (other paths for "template", "texture", "rgb", "mask"), ``crop`` ([top, left]) and
-  ``original_size`` ([height, width]) if the images were cut from larger ones; ``K``
-  always belongs to the images in the folder.
+  ``files`` (other paths for "template", "texture", "rgb", "mask", in this folder also after links have been
+  followed), ``crop`` ([top, left]) and ``original_size`` ([height, width]) if the images were cut from larger
+  ones; ``K`` always belongs to the images in the folder.
 
 Everything is in the OpenCV camera frame (x right, y down, z forward, metres), so nothing is converted here.
 """
@@ -31,6 +31,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -43,6 +44,7 @@ from torch import Tensor
 from toile.errors import InputError
 from toile.geometry.camera import Camera
 from toile.geometry.io import PolygonMesh, read_mesh, write_mesh, write_point_cloud
+from toile.json_file import read_json_object
 from toile.scenes.atomic_folder import folder_written_atomically
 from toile.scenes.findings import Finding, Severity, attempt, has_errors, require
 from toile.scenes.frame_times import check_number_of_frames, check_spacing, check_times, settled
@@ -64,6 +66,9 @@ FILES = {
     "rgb": "rgbs/rgb_%03d.png",
     "mask": "masks/mask_%03d.png",
 }
+# A path with one number, of any sensible width.
+_NUMBERED = re.compile(r"[^%]*%0?[0-9]{0,2}d[^%]*")
+_MOST_MISSING = 20  # images, until no more are looked for
 CONVENTION = (
     "OpenCV camera coordinates: x right, y down, z forward, metres; camera at the origin. Pixel = K (X / Z), "
     "(0, 0) at the top-left image corner. Grid vertex index = i * W + j. template.obj vt = (u, v), v "
@@ -203,7 +208,10 @@ def survey_native(
     if values.get("n_frames") is not None:
         n = attempt(findings, lambda: limited(values["n_frames"], n_frames, str(folder)))
         if n is not None:
-            frame_paths, mask_paths = (_sequence(folder, files[key], n) for key in ("rgb", "mask"))
+            paths = attempt(
+                findings, lambda: tuple(_sequence(folder, files[key], n) for key in ("rgb", "mask"))
+            )
+            frame_paths, mask_paths = paths or ((), ())
         if size is not None:
             findings += check_images(frame_paths, mask_paths, size)
         findings += _surplus(folder, files, values["n_frames"])
@@ -216,8 +224,8 @@ def survey_native(
             times, fps = settled(times[: len(frame_paths) or None], fps)
             findings += check_spacing(times, str(path))
 
-    texture = attempt(findings, lambda: read_rgb(folder / files["texture"]))
-    mesh = attempt(findings, lambda: read_mesh(folder / files["template"]))
+    texture = attempt(findings, lambda: read_rgb(_inside(folder, files["texture"])))
+    mesh = attempt(findings, lambda: read_mesh(_inside(folder, files["template"])))
     template = coordinates = None
     if mesh is not None and grid is not None:
         where = str(folder / files["template"])
@@ -327,21 +335,17 @@ def _read_description(folder: Path) -> dict[str, Any]:
             got=", ".join(there[:20]) or "an empty folder",
         )
     try:
-        description = json.loads(path.read_text())
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        return read_json_object(path)
+    except (OSError, ValueError) as error:
         raise InputError(
-            "scene.json is no valid JSON", where=str(path), expected="JSON", got=str(error)
+            "scene.json is no valid JSON", where=str(path), expected="a JSON object {...}", got=str(error)
         ) from error
-    if not isinstance(description, dict):
-        got = type(description).__name__
-        raise InputError("scene.json is no JSON object", where=str(path), expected="{...}", got=got)
-    return description
 
 
 def _parse(path: Path, key: str, value: Any, parse: Callable[[Any], Any], expected: str) -> Any:
     try:
         return parse(value)
-    except (ValueError, TypeError, IndexError, KeyError) as error:
+    except (ValueError, TypeError, IndexError, KeyError, OverflowError) as error:
         raise InputError(
             f"Key '{key}' cannot be understood",
             where=f"{path}: {key}",
@@ -418,8 +422,10 @@ def _relative_files(value: Any) -> dict[str, str]:
     if not isinstance(value, dict) or not all(isinstance(v, str) for v in value.values()):
         raise ValueError("not an object of paths")
     for key in ("rgb", "mask"):
-        if key in value:
-            value[key] % 0
+        if key in value and not _NUMBERED.fullmatch(value[key]):
+            raise ValueError(f"{key} without one %03d")
+    if any("\0" in path or not path for path in value.values()):
+        raise ValueError("not a path")
     return value
 
 
@@ -444,7 +450,32 @@ _OPTIONAL: dict[str, tuple[Callable[[Any], Any], str]] = {
 
 
 def _sequence(folder: Path, pattern: str, n: int) -> tuple[Path, ...]:
-    return tuple(folder / (pattern % k) for k in range(n))
+    """Files 0 ... n - 1; fewer if many of them are missing, since n may be anything."""
+    paths: list[Path] = []
+    missing = 0
+    for k in range(n):
+        paths.append(_inside(folder, pattern % k))
+        missing += not paths[-1].is_file()
+        if missing == _MOST_MISSING:
+            break
+    return tuple(paths)
+
+
+def _inside(folder: Path, name: str) -> Path:
+    """The file of that name in a folder.
+
+    Raises:
+        InputError: it lies elsewhere. A scene may come from anybody, and what it shows ends up in pages.
+    """
+    path = folder / name
+    if not path.resolve().is_relative_to(folder.resolve()):
+        raise InputError(
+            "A file of the scene lies outside its folder",
+            where=str(path),
+            expected="a file in the folder of scene.json, also after links in it; the folder may be a link",
+            got=str(path.resolve()),
+        )
+    return path
 
 
 def _surplus(folder: Path, files: dict[str, str], n: int) -> list[Finding]:

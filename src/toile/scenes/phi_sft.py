@@ -23,7 +23,6 @@ Conventions of the files, measured on R1, and what is done about them, here and 
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -36,6 +35,7 @@ from toile.errors import InputError
 from toile.geometry.camera import Camera
 from toile.geometry.io import read_mesh
 from toile.geometry.mesh import grid_faces
+from toile.json_file import read_json_object
 from toile.scenes.findings import Finding, Severity, attempt, has_errors, require
 from toile.scenes.frame_times import check_number_of_frames
 from toile.scenes.images import numbered_files, read_rgb
@@ -263,15 +263,14 @@ def _read_description(name: str, path: Path) -> dict[str, Any]:
         got = f"scenes {', '.join(there)}" if there else f"no scene description in {path.parent}"
         raise InputError(f"Scene {name} is missing", where=str(path), expected="a scene description", got=got)
     try:
-        description = json.loads(path.read_text())
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        return read_json_object(path)
+    except (OSError, ValueError) as error:
         raise InputError(
-            "Scene description is no valid JSON", where=str(path), expected="JSON", got=str(error)
+            "Scene description is no valid JSON",
+            where=str(path),
+            expected="a JSON object {...}",
+            got=str(error),
         ) from error
-    if not isinstance(description, dict):
-        got = type(description).__name__
-        raise InputError("Scene description is no JSON object", where=str(path), expected="{...}", got=got)
-    return description
 
 
 def _numbers(description: dict[str, Any], key: str, n: int, path: Path) -> list[float]:

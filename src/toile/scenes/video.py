@@ -6,7 +6,6 @@ interpolated to reach a constant rate.
 
 from __future__ import annotations
 
-import json
 import logging
 import re
 import subprocess
@@ -22,6 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from toile.errors import InputError
+from toile.json_file import read_json_object
 from toile.scenes.findings import Finding, Severity, require
 from toile.scenes.frame_times import check_spacing, check_times, settled, uniform_subset
 from toile.scenes.images import image_size, read_rgb
@@ -230,10 +230,9 @@ def _describes(folder: Path) -> dict[str, Any]:
     """What the video.json beside a scene's frames says; nothing for another folder."""
     path = folder.parent / DESCRIPTION
     try:
-        description = json.loads(path.read_text()) if folder.name == FRAMES and path.is_file() else {}
+        return read_json_object(path) if folder.name == FRAMES and path.is_file() else {}
     except (OSError, ValueError):
         return {}
-    return description if isinstance(description, dict) else {}
 
 
 def _described_times(folder: Path, n_frames: int | None) -> list[float] | None:

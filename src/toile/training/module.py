@@ -19,7 +19,8 @@ from toile.training.resets import Resets, mean_length, relative_residual
 from toile.training.settings import TrainingSettings
 from toile.training.validation import validation_rollout
 
-_STATE = "toile_training"  # key in Lightning's checkpoint
+STATE = "toile_training"
+"""Key in Lightning's checkpoint."""
 _SHOWN = 64  # cloths of the pool whose energies are measured
 
 
@@ -145,7 +146,7 @@ class SurrogateTraining(LightningModule):
         """Add everything the next step depends on: plain tensors, numbers, lists and dictionaries."""
         # Steps are counted here; the loop's own counters would disagree after a stop within its epoch.
         checkpoint.pop("loops", None)
-        checkpoint[_STATE] = {
+        checkpoint[STATE] = {
             "pools": self._all_pools(),
             "steps_done": self.steps_done,
             "seconds": self.seconds,
@@ -156,7 +157,7 @@ class SurrogateTraining(LightningModule):
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Inverse of on_save_checkpoint; Lightning restores weights, average and optimiser."""
-        state = checkpoint[_STATE]
+        state = checkpoint[STATE]
         self.steps_done = int(state["steps_done"])
         self.seconds = float(state["seconds"])
         self.history = [dict(row) for row in state["history"]]

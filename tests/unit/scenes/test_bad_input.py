@@ -149,7 +149,7 @@ def flipped_texture(folder: Path) -> None:
 CASES: dict[str, tuple[Breaker, tuple[str, ...]]] = {
     "no scene.json": (remove("scene.json"), ("scene.json is missing", "template.obj, texture.png")),
     "invalid JSON": (overwrite("scene.json", '{"fps": 25,'), ("no valid JSON", "line 1")),
-    "JSON list": (overwrite("scene.json", "[]"), ("no JSON object", "list")),
+    "JSON list": (overwrite("scene.json", "[]"), ("no valid JSON", "a list at the top level")),
     "missing key": (change(fps=None), ("'fps' is missing", "keys id, n_frames")),
     "text for a number": (change(fps="fast"), ("'fps'", "frames per second", "fast")),
     "fps zero": (change(fps=0), ("Frame rate", "fps > 0", "0")),

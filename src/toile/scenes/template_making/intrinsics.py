@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any
 
 from toile.errors import InputError
 from toile.geometry.camera import Camera
+from toile.json_file import read_json_object
 
 _EXPECTED = (
     'camera.fx, fy, cx, cy [px], or camera.file with "K": [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] '
@@ -53,7 +53,7 @@ def _read(path: Path, size: tuple[int, int]) -> dict[str, Any]:
     if not path.is_file():
         raise InputError("Camera file is missing", where=str(path), expected=_EXPECTED, got="no such file")
     try:
-        description = json.loads(path.read_text())
+        description = read_json_object(path)
         if "K" in description:
             (fx, skew, cx), (lower, fy, cy), _ = description["K"]
             if skew or lower:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,7 @@ from torch import Tensor
 
 from toile.errors import InputError
 from toile.geometry.camera import Camera
+from toile.json_file import read_json_object
 from toile.scenes.findings import Finding, Severity, require
 from toile.scenes.frame_times import check_spacing, check_times
 from toile.scenes.images import numbered_files, read_mask, read_rgb
@@ -93,7 +93,7 @@ def _times(
     """Times of the frames by the video's description, or None, and warnings."""
     path = folder / VIDEO
     try:
-        given = json.loads(path.read_text()).get("times") if path.is_file() else None
+        given = read_json_object(path).get("times") if path.is_file() else None
         times = None if given is None else tuple(float(t) for t in given)
     except (ValueError, TypeError, AttributeError) as error:
         if replaced:
@@ -119,7 +119,7 @@ def _frame_rate(folder: Path, fps: float | None, size: tuple[int, int]) -> float
     expected = f"{VIDEO} with fps, width and height, or fps=<frames per second>"
     if path.is_file():
         try:
-            description = json.loads(path.read_text())
+            description = read_json_object(path)
             rate = float(description["fps"])
             declared = [
                 description.get(key, value) for key, value in zip(("height", "width"), size, strict=True)

@@ -1,0 +1,132 @@
+"""Commands that are wrong as a whole, and blind sets."""
+
+from __future__ import annotations
+
+from bad_inputs.breaking import DEEP, at_once, cut, put, remove, values
+from bad_inputs.case import Case, Want
+from bad_inputs.stock import BLIND, BLIND_KEY, BLIND_SET, GENERATE, RUN, SCENE
+
+GROUP, SETS = "Commands", "Blind sets"
+PREDICTIONS = "outputs/blind_predictions/tiny"
+RUN_SET = ("blind", "run", *BLIND)
+
+CASES = [
+    Case(GROUP, "no such command", ("fits", "scene=cloth"), says=("fits", "fit")),
+    Case(GROUP, "a command as a path", ("./fit",), says=("./fit",)),
+    Case(GROUP, "an unknown flag", ("fit", "--fast", "scene=cloth"), says=("--fast",)),
+    Case(GROUP, "doctor without scene", ("doctor",), says=("scene=",)),
+    Case(GROUP, "doctor of nothing", ("doctor", "scene=nowhere"), says=("nowhere",)),
+    Case(GROUP, "doctor of a file", ("doctor", "scene=clip.mp4"), says=("clip.mp4",)),
+    Case(GROUP, "evaluate without run", ("evaluate",), says=("run=",)),
+    Case(GROUP, "report without run", ("report",), says=("run",)),
+    Case(
+        GROUP,
+        "generate over an existing scene",
+        (*GENERATE, f"folder={SCENE}"),
+        says=("overwrite|exists",),
+        keeps=(f"{SCENE}/scene.json",),
+    ),
+    Case(GROUP, "generate: no such preset", ("generate", "preset=dmo"), says=("dmo", "demo")),
+    Case(GROUP, "generate: no such template", ("generate", "template=R77"), says=("R77",)),
+    Case(
+        GROUP,
+        "a data folder that is none",
+        ("doctor", "scene=cloth"),
+        environment={"TOILE_DATA": "clip.mp4"},
+        says=("cloth",),
+    ),
+    Case(
+        GROUP,
+        "a terminal that knows ASCII only: a table",
+        ("evaluate", f"run={RUN}"),
+        environment={"PYTHONIOENCODING": "ascii"},
+        process=True,
+        want=Want.SUCCESS,
+        leaves=(f"{RUN}/metrics.json",),
+    ),
+    Case(
+        GROUP,
+        "a terminal that knows ASCII only: a message",
+        ("evaluate", "run='Stoffhülle'"),
+        environment={"PYTHONIOENCODING": "ascii"},
+        process=True,
+        says=("not a run folder",),
+    ),
+    Case(
+        GROUP,
+        "LC_ALL=C",
+        ("evaluate", f"run={RUN}"),
+        environment={"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
+        process=True,
+        want=Want.SUCCESS,
+        leaves=(f"{RUN}/metrics.json",),
+    ),
+    # -- blind sets
+    Case(SETS, "an unknown action", ("blind", "peek", *BLIND), says=("peek", "grade")),
+    Case(SETS, "no action", ("blind", *BLIND), says=("action",)),
+    Case(
+        SETS,
+        "no such composition",
+        ("blind", "make", *BLIND, "composition=huge", "name=other"),
+        says=("huge",),
+    ),
+    Case(
+        SETS,
+        "the key within the set",
+        ("blind", "make", *BLIND, f"key={BLIND_SET}/my.blindkey"),
+        says=("key",),
+        want=Want.REFUSAL,
+    ),
+    Case(
+        SETS,
+        "the key is lost",
+        ("blind", "make", *BLIND),
+        remove(BLIND_KEY),
+        says=("key",),
+        want=Want.REFUSAL,
+        keeps=(f"{BLIND_SET}/set.json",),
+    ),
+    Case(
+        SETS, "the key is torn", ("blind", "grade", *BLIND), cut(BLIND_KEY), says=("key",), want=Want.REFUSAL
+    ),
+    Case(SETS, "run without a set", (*RUN_SET, "name=nothing"), says=("nothing",)),
+    Case(SETS, "grade before run", ("blind", "grade", *BLIND), says=("prediction",)),
+    Case(SETS, "set.json broken", RUN_SET, put(f"{BLIND_SET}/set.json", "{"), says=(BLIND_SET,)),
+    Case(
+        SETS, "set.json nested 100,000 deep", RUN_SET, put(f"{BLIND_SET}/set.json", DEEP), says=(BLIND_SET,)
+    ),
+    Case(SETS, "set.json empty", RUN_SET, put(f"{BLIND_SET}/set.json", "{}"), says=(BLIND_SET,)),
+    Case(
+        SETS,
+        "set.json names files elsewhere",
+        RUN_SET,
+        values(f"{BLIND_SET}/set.json", scenes=["../../../data/made/cloth"]),
+        says=(BLIND_SET,),
+        want=Want.REFUSAL,
+    ),
+    Case(
+        SETS,
+        "a label lies open in the set",
+        RUN_SET,
+        put(f"{BLIND_SET}/scenes/label.json", "{}"),
+        says=("label",),
+        want=Want.REFUSAL,
+    ),
+    Case(
+        SETS,
+        "other settings for an existing set",
+        ("blind", "make", *BLIND, "reality.n_frames=7"),
+        says=("set",),
+        want=Want.REFUSAL,
+        keeps=(f"{BLIND_SET}/set.json",),
+    ),
+    Case(
+        SETS,
+        "predictions.json broken",
+        ("blind", "grade", *BLIND),
+        at_once(put(f"{PREDICTIONS}/predictions.json", DEEP), put(f"{PREDICTIONS}/predictions.sha256", "no")),
+        says=("predictions",),
+    ),
+    Case(SETS, "no such diagnosis", (*RUN_SET, "diagnose=toile.nothing"), says=("toile.nothing|diagnose",)),
+    Case(SETS, "part 5 of 2", ("blind", "make", *BLIND, "part=5", "parts=2"), says=("part",)),
+]
