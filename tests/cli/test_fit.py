@@ -275,7 +275,7 @@ def test_where_the_cloth_is_lost_a_second_try_follows_the_outline_more(
     command = ("fit", "scene=swaying", *QUICK)
     assert toile(*command, "hydra.run.dir=usual").status == 0
     usual = RunFolder(tmp_path / "usual")
-    assert read_metrics(usual)["scene warnings"] == []
+    (few_frames,) = read_metrics(usual)["scene warnings"]
     with monkeypatch.context() as patch:
         lose_the_cloth(patch, 2, 5)
         outcome = toile(*command, "hydra.run.dir=run")
@@ -291,8 +291,8 @@ def test_where_the_cloth_is_lost_a_second_try_follows_the_outline_more(
         assert toile(*command, "hydra.run.dir=lost").status == 0
     lost = RunFolder(tmp_path / "lost")
     assert identical(lost, usual)
-    (warning,) = read_metrics(lost)["scene warnings"]
-    assert "lost from frame 2 on" in warning
+    assert few_frames in read_metrics(lost)["scene warnings"]
+    assert any("lost from frame 2 on" in w for w in read_metrics(lost)["scene warnings"])
     # Nothing but said.
     with monkeypatch.context() as patch:
         lose_the_cloth(patch, 2)
