@@ -26,14 +26,16 @@ import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-import pandas as pd
 
 from toile.atomic_file import write_text, written_atomically
 from toile.errors import InputError
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 T = TypeVar("T")
 
@@ -277,6 +279,9 @@ def write_history(run: RunFolder, history: pd.DataFrame) -> Path:
 
 def read_history(run: RunFolder) -> pd.DataFrame:
     """Read the history of the optimisation."""
+    # Here, because most readers of a run have no use for it, and loading it takes half a second.
+    import pandas as pd
+
     return _read(run.history, "a CSV table", pd.read_csv)
 
 
