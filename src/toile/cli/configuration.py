@@ -24,7 +24,10 @@ CONF = Path(str(importlib.resources.files("toile.conf")))
 """The configuration that comes with the package: conf/ at the top of the repository."""
 
 _HYDRA_SYNTAX = re.compile(r"""[()\[\]{}$'"=]""")
-_FLAGS_WITH_VALUE = {"--config-dir", "-cd", "--config-name", "-cn", "--config-path", "-cp", "--package", "-p"}
+_FLAGS_WITH_VALUE = {
+    *("--cfg", "-c", "--info", "-i", "--package", "-p", "--experimental-rerun"),
+    *("--config-dir", "-cd", "--config-name", "-cn", "--config-path", "-cp"),
+}
 # A run folder may come from somebody else: from its configuration, only these are ever called.
 _SCENE_TARGETS = {
     "toile.scenes.registry.load_scene",
