@@ -65,6 +65,7 @@ def run(cfg: DictConfig) -> float | None:
         print_path(folder.path, f": stopped after {module.cycles_done} of {module.n_cycles} cycles")
         print_path(f"toile fit resume={folder.path}", " continues")
         raise KeyboardInterrupt
+    log.info("evaluating")
     evaluation = evaluate(
         trajectory,
         scene,
@@ -74,6 +75,7 @@ def run(cfg: DictConfig) -> float | None:
     )
     write_numbers(folder, module, trajectory, evaluation, time.perf_counter() - started)
     write_final_numbers(cfg, folder, config)
+    log.info("writing figures, video and page")
     write_pictures(folder, module, trajectory, evaluation, cfg.report)
     print_evaluation(evaluation)
     print_path(folder.path)

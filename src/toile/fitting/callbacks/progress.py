@@ -17,6 +17,7 @@ from rich.progress import (
 
 from toile.fitting.module import FitModule
 from toile.fitting.parameters import ClothParameters
+from toile.progress import Lines
 
 log = logging.getLogger(__name__)
 
@@ -26,18 +27,21 @@ class FitProgress(Callback):
     """A bar with loss, frames covered and stiffness; plain log lines where there is no terminal.
 
     Args:
-        log_every: cycles between two log lines.
+        log_every: cycles between two log lines; there are more where cycles take longer than ten seconds.
     """
 
     def __init__(self, log_every: int) -> None:
         self.log_every = log_every
         self._console = Console(stderr=True)
+        self._lines = Lines(log)
         self._bar: Progress | None = None
         self._task: Any = None
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Show the bar."""
         assert isinstance(pl_module, FitModule)
+        self._lines = Lines(log)
+        self._lines("cycle", pl_module.cycles_done, pl_module.n_cycles)
         if self._console.is_terminal:
             self._bar = Progress(
                 TextColumn("fit"),
@@ -51,6 +55,10 @@ class FitProgress(Callback):
                 "fit", total=pl_module.n_cycles, completed=pl_module.cycles_done, state=""
             )
             self._bar.start()
+        else:
+            log.info(
+                "fitting %d frames in %d cycles", pl_module.reconstruction.scene.n_frames, pl_module.n_cycles
+            )
 
     def on_train_batch_end(
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
@@ -65,6 +73,9 @@ class FitProgress(Callback):
             self._bar.update(self._task, completed=done, state=state)
         elif done % self.log_every == 0 or done == pl_module.n_cycles:
             log.info("cycle %d of %d: %s", done, pl_module.n_cycles, state)
+            self._lines.said()
+        else:
+            self._lines("cycle", done, pl_module.n_cycles, state)
 
     def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Leave the bar as it is."""
