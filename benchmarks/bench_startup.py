@@ -49,7 +49,9 @@ def main() -> None:
             }
         )
     print("{processor}, {processors} cores, 1 thread; Python {python}, PyTorch {torch}".format(**machine()))
-    print(pd.DataFrame(rows).to_markdown(index=False, floatfmt=".2f", missingval="–"))
+    table = pd.DataFrame(rows).map(lambda cell: f"{cell:.2f}" if isinstance(cell, float) else cell)
+    print()
+    print(table.replace("nan", "–").to_markdown(index=False, disable_numparse=True))
 
 
 def measure(call: tuple[str, ...], source: Path | None) -> tuple[float, float]:
