@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -39,6 +40,8 @@ def toile(
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("TOILE_DATA", raising=False)
     monkeypatch.delenv("HYDRA_FULL_ERROR", raising=False)
+    # Lines that a slow machine would get and a quick one not.
+    monkeypatch.setattr("toile.progress.SECONDS_BETWEEN_LINES", math.inf)
 
     def call(*arguments: str) -> Outcome:
         capsys.readouterr()

@@ -59,3 +59,17 @@ def test_generate_with_an_impossible_setting(toile) -> None:
     assert status == 2
     assert "fps" in err
     assert not FOLDER.exists()
+
+
+def test_how_far_it_is_stands_in_the_log(toile, monkeypatch) -> None:
+    assert toile("generate", *TINY).status == 0
+    quiet = files()
+    monkeypatch.setattr("toile.progress.SECONDS_BETWEEN_LINES", 0.0)
+    _, _, err = toile("generate", *TINY, "overwrite=true")
+    lines = err.splitlines()
+    assert lines[0] == "settling: 0"
+    # Two frames of two sub-steps after the first.
+    assert [line.split(",")[0] for line in lines[1:5]] == [f"simulation: {k} of 4" for k in (1, 2, 3, 4)]
+    assert lines[-2].startswith("frames: 3 of 3")
+    assert lines[-1] == "writing: 0"
+    assert files() == quiet

@@ -282,3 +282,13 @@ def test_evenly_spaced_frames_on_request(toile, uneven: Path) -> None:
         assert status == 2
         assert wrong.split("=")[0] in err
     assert json.loads(Path("mine/video.json").read_text()) == description
+
+
+def test_how_far_it_is_stands_in_the_log(toile, clip: Path, monkeypatch) -> None:
+    monkeypatch.setattr("toile.progress.SECONDS_BETWEEN_LINES", 0.0)
+    _, out, err = toile("masks", "video=clip.mp4", "scene=mine", "method=dark_background")
+    lines = err.splitlines()
+    assert lines[0] == f"masks: 0 of {N_FRAMES}"
+    assert lines[2].startswith(f"masks: 2 of {N_FRAMES}, about ")
+    assert lines[-1].startswith(f"masks.mp4: {N_FRAMES} of {N_FRAMES}")
+    assert "masks: " not in out

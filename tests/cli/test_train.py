@@ -139,3 +139,10 @@ def test_two_processes(tmp_path: Path) -> None:
     overrides = yaml.safe_load((tmp_path / "run" / ".hydra" / "overrides.yaml").read_text())
     assert "trainer=ddp" in overrides
     assert load_weights(tmp_path / "run" / "surrogate.pt") is not None
+
+
+def test_how_far_it_is_stands_in_the_log(toile: Toile, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("toile.progress.SECONDS_BETWEEN_LINES", 0.0)
+    outcome = toile(*QUICK, "hydra.run.dir=run")
+    steps = [line.split(",")[0] for line in outcome.err.splitlines() if line.startswith("step")]
+    assert steps == [f"step: {k} of 12" for k in range(13)]

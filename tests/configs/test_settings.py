@@ -113,7 +113,7 @@ BAD = [
     ("generate", "settings.n_frames=1", "settings.n_frames", "a whole number >= 2 [frames]", "1"),
     ("generate", "settings.cloth_size=[0.6]", "settings.cloth_size", "a list of 2: a number > 0 [m]", "(0.6"),
     ("train", "training.batch_size=0", "training.batch_size", "a whole number >= 1", "0"),
-    ("train", "max_minutes=-1", "max_minutes", "a number > 0 [min], or null", "-1"),
+    ("train", "max_minutes=-1", "max_minutes", "a number >= 0 [min], or null", "-1"),
     ("fit", "simulator.largest_time_error=-1", "simulator.largest_time_error", "a number > 0 [s]", "-1"),
     ("masks", "times=guessed", "times", "recorded, uniform", "the text 'guessed'"),
     (

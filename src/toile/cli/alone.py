@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TypeVar
 
 from filelock import FileLock, Timeout
-from lightning.pytorch.utilities import rank_zero_only
 from omegaconf import DictConfig
 
 from toile.atomic_file import write_text
@@ -35,6 +34,8 @@ def alone(run: Callable[[DictConfig], T]) -> Callable[[DictConfig], T]:
 
     @wraps(run)
     def only(cfg: DictConfig) -> T:
+        from lightning.pytorch.utilities import rank_zero_only  # heavy, and asked for in a run only
+
         # Lightning starts the further processes of a training by the same command: they belong to the first.
         if getattr(rank_zero_only, "rank", 0) != 0:
             return run(cfg)

@@ -13,12 +13,14 @@ class Command(NamedTuple):
         summary: one line for the overview.
         example: a call to learn from.
         plain: setting that arguments without "=" are for, "" where there are none.
+        words: what such an argument may be, if it is no path.
     """
 
     module: str
     summary: str
     example: str
     plain: str = ""
+    words: tuple[str, ...] = ()
 
 
 COMMANDS = {
@@ -61,6 +63,7 @@ COMMANDS = {
         "check the diagnosis on scenes whose labels it cannot read",
         "make | run | grade blind=tiny",
         plain="action",
+        words=("make", "run", "grade"),
     ),
     "doctor": Command("toile.cli.doctor", "look for what is wrong with a scene", "scene=R1"),
 }
@@ -85,5 +88,8 @@ def overview() -> str:
             "",
             "examples:",
             *examples,
+            "",
+            "completion by the tab key, for bash, zsh and fish:",
+            '  eval "$(toile completion bash)"',
         )
     )

@@ -13,17 +13,21 @@ from typing import Any
 import hydra.utils
 import yaml
 from hydra.core.hydra_config import HydraConfig
+from hydra.core.override_parser.types import QuotedString
 from omegaconf import Container, DictConfig, OmegaConf
 
 from toile.cli.commands import COMMANDS
-from toile.cli.settings import check_arguments
+from toile.cli.path_arguments import UNREADABLE, exists, parsed, quoted
 from toile.errors import InputError
 
 CONF = Path(str(importlib.resources.files("toile.conf")))
 """The configuration that comes with the package: conf/ at the top of the repository."""
 
 _HYDRA_SYNTAX = re.compile(r"""[()\[\]{}$'"=]""")
-_FLAGS_WITH_VALUE = {"--config-dir", "-cd", "--config-name", "-cn", "--config-path", "-cp", "--package", "-p"}
+_FLAGS_WITH_VALUE = {
+    *("--cfg", "-c", "--info", "-i", "--package", "-p", "--experimental-rerun"),
+    *("--config-dir", "-cd", "--config-name", "-cn", "--config-path", "-cp"),
+}
 # A run folder may come from somebody else: from its configuration, only these are ever called.
 _SCENE_TARGETS = {
     "toile.scenes.registry.load_scene",
@@ -40,14 +44,20 @@ def register_resolvers() -> None:
 
 def flags_first(arguments: Sequence[str]) -> list[str]:
     """Flags such as -m may stand anywhere; Hydra's parser wants all overrides in one piece."""
-    return sorted(arguments, key=lambda a: not a.startswith("-") and ("=" in a or a.startswith("~")))
+    flags: list[str] = []
+    overrides: list[str] = []
+    for before, argument in pairwise(["", *arguments]):
+        flag = argument.startswith("-") or before in _FLAGS_WITH_VALUE
+        (overrides if not flag and ("=" in argument or argument.startswith("~")) else flags).append(argument)
+    return [*flags, *overrides]
 
 
 def name_scenes(arguments: Sequence[str]) -> list[str]:
     """Let ``scene=`` take any name or folder: what is no file in conf/scene becomes native with that name.
 
-    ``scene=R1,a1cb40`` becomes ``scene=native scene.name='R1','a1cb40'`` unless both are files. Hydra's own
-    syntax (quotes, brackets, functions) is left alone.
+    ``scene=R1,a1cb40`` becomes ``scene=native scene.name='R1','a1cb40'`` unless both are files. A folder that
+    exists, and what is no value in Hydra's grammar, is one name, whatever characters it has; brackets and
+    functions of Hydra are left alone.
     """
     known = {
         path.stem for folder in (CONF, *_config_folders(arguments)) for path in folder.glob("scene/*.yaml")
@@ -56,12 +66,18 @@ def name_scenes(arguments: Sequence[str]) -> list[str]:
     for argument in arguments:
         key, _, value = argument.partition("=")
         names = value.split(",")
-        usual = not value or value == "null" or _HYDRA_SYNTAX.search(value)
-        if key != "scene" or usual or known.issuperset(names):
+        if key != "scene" or not value or value == "null" or known.issuperset(names):
             result.append(argument)
-        else:
-            quoted = ",".join(map(_quoted, names))
-            result += ["scene=native", f"scene.name={quoted}"]
+            continue
+        meaning = parsed(value) if _HYDRA_SYNTAX.search(value) else None
+        if isinstance(meaning, QuotedString):
+            names = [meaning.text]
+        elif exists(value) or meaning is UNREADABLE:
+            names = [value]
+        elif meaning is not None:
+            result.append(argument)
+            continue
+        result += ["scene=native", f"scene.name={','.join(map(quoted, names))}"]
     return result
 
 
@@ -77,12 +93,12 @@ def name_plain_arguments(arguments: Sequence[str], setting: str) -> list[str]:
     for before, argument in pairwise(["", *arguments]):
         flag = argument.startswith(("-", "~")) or before in _FLAGS_WITH_VALUE
         # A folder may well be called seed=0.
-        override = "=" in argument and not Path(argument).exists()
+        override = "=" in argument and not exists(argument)
         (others if flag or override or not setting else plain).append(argument)
     if not plain:
         return list(arguments)
-    quoted = ",".join(map(_quoted, plain))
-    return [*others, f"{setting}={quoted}" if len(plain) == 1 else f"{setting}=[{quoted}]"]
+    values = ",".join(map(quoted, plain))
+    return [*others, f"{setting}={values}" if len(plain) == 1 else f"{setting}=[{values}]"]
 
 
 def instantiate(node: Any) -> Any:
@@ -91,6 +107,8 @@ def instantiate(node: Any) -> Any:
     Raises:
         InputError: a value that its annotation does not allow.
     """
+    from toile.cli.settings import check_arguments  # loads pydantic, which --help need not wait for
+
     if isinstance(node, dict | list):
         node = OmegaConf.create(node)  # parts of it may be configurations
     if isinstance(node, Container):
@@ -146,11 +164,6 @@ def scene_settings(cfg: DictConfig, run_config: str, where: Path) -> DictConfig:
             got=", ".join(sorted(unexpected)),
         )
     return OmegaConf.create({**settings, "data_dir": cfg.paths.data})
-
-
-def _quoted(text: str) -> str:
-    """Text in Hydra's quotes."""
-    return "'" + text.replace("\\", "\\\\").replace("'", "\\'") + "'"
 
 
 def _with_tuples(value: Any) -> Any:

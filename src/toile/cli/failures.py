@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -13,6 +14,7 @@ from omegaconf.errors import (
 )
 
 from toile.atomic_file import disk_failure
+from toile.errors import InputError
 
 BAD_INPUT = 2
 SIMULATION_FAILED = 3
@@ -38,10 +40,9 @@ class Failure(NamedTuple):
 
 def explain(error: BaseException) -> Failure | None:
     """The message for a mistake of the user or a failed simulation; None for a mistake in the program."""
-    # Here, because it loads PyTorch, which a successful ``toile --help`` need not wait for.
-    from toile.errors import InputError
-    from toile.simulators.base import SimulationError
-
+    # A simulation can only have failed where it was loaded; loading it, and PyTorch, for a typing error would
+    # make the user wait for the message.
+    simulators = sys.modules.get("toile.simulators.base")
     disk = disk_failure(error)
     if disk is not None:
         # Python does not always know the file.
@@ -49,11 +50,10 @@ def explain(error: BaseException) -> Failure | None:
         return Failure(f"error: {disk.strerror}{where}", BAD_INPUT)
     failure = None
     for cause in _chain(error):
-        match cause:
-            case InputError():
-                return Failure(f"error: {cause}", BAD_INPUT)
-            case SimulationError():
-                return Failure(f"error: {cause}", SIMULATION_FAILED)
+        if isinstance(cause, InputError):
+            return Failure(f"error: {cause}", BAD_INPUT)
+        if simulators is not None and isinstance(cause, simulators.SimulationError):
+            return Failure(f"error: {cause}", SIMULATION_FAILED)
     if isinstance(error, MissingMandatoryValue | InterpolationToMissingValueError):
         failure = _missing(error)
     elif isinstance(error, InstantiationException):

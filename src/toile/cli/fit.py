@@ -75,6 +75,7 @@ def run(cfg: DictConfig) -> float | None:
         print_path(f"toile fit resume={folder.path}", " continues")
         raise KeyboardInterrupt
     warnings = [*warnings, *fitted.warnings]
+    log.info("evaluating")
     evaluation = evaluate(
         trajectory,
         scene,
@@ -85,6 +86,7 @@ def run(cfg: DictConfig) -> float | None:
     seconds = Seconds(fitted.seconds, time.perf_counter() - started)
     write_numbers(folder, module, trajectory, evaluation, seconds, warnings)
     write_final_numbers(cfg, folder, config)
+    log.info("writing figures, video and page")
     write_pictures(folder, module, trajectory, evaluation, cfg.report)
     print_evaluation(evaluation)
     print_path(folder.path)

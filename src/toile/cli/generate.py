@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 
 from omegaconf import DictConfig
@@ -11,7 +12,10 @@ from toile.cli.terminal import print_path
 from toile.errors import InputError
 from toile.generation.generator import generate
 from toile.generation.truth import write
+from toile.progress import Shown
 from toile.scenes.registry import load_template
+
+log = logging.getLogger(__name__)
 
 
 def run(cfg: DictConfig) -> None:
@@ -26,5 +30,10 @@ def run(cfg: DictConfig) -> None:
             got="an existing file or folder",
         )
     template = None if cfg.template is None else load_template(str(cfg.template), cfg.paths.data)
-    scene, truth = generate(instantiate(cfg.settings), instantiate(cfg.texture), template)
-    print_path(write(scene, truth, folder, overwrite=cfg.overwrite))
+    with Shown(log) as progress:
+        scene, truth = generate(
+            instantiate(cfg.settings), instantiate(cfg.texture), template, report=progress
+        )
+        progress("writing", 0, None)
+        write(scene, truth, folder, overwrite=cfg.overwrite)
+    print_path(folder)

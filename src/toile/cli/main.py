@@ -29,21 +29,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     accept_any_text()
     given = list(sys.argv[1:] if arguments is None else arguments)
-    if not given or given[0] in ("-h", "--help", "help"):
-        print(overview())
-        return 0
-    if given[0] == "--version":
-        print(__version__)
-        return 0
-    name, *rest = given
-    if name not in COMMANDS:
-        print(
-            f"error: no command {name!r}; there are {', '.join(COMMANDS)}. See toile --help.", file=sys.stderr
-        )
-        return USAGE_ERROR
     try:
         with disk_failures_of_threads() as failures:
-            status = _run(name, rest)
+            status = _dispatch(given)
+        # Here and not at exit, where nobody could catch it if the reader has gone.
+        sys.stdout.flush()
         return status or (_report(failures[0], full=False) if failures else 0)
     except KeyboardInterrupt:
         from toile.cli.failures import INTERRUPTED
@@ -56,37 +46,91 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
 
 
+def _dispatch(given: Sequence[str]) -> int:
+    if not given or given[0] in ("-h", "--help", "help"):
+        print(overview())
+        return 0
+    name, *rest = given
+    if "--version" in given:
+        print(f"toile {__version__}")
+        return 0
+    if name == "completion":
+        from toile.cli.completion import completion
+
+        return completion(rest)
+    if name not in COMMANDS:
+        from toile.cli.suggestions import did_you_mean
+
+        guess = did_you_mean(name, [*COMMANDS, "completion"])
+        known = f"There are {', '.join(COMMANDS)}. See toile --help."
+        print(f"error: no command {name!r}{guess or '.'} {known}", file=sys.stderr)
+        return USAGE_ERROR
+    if {"-sc", "--shell-completion"} & set(rest):
+        print("error: say toile completion bash, zsh or fish, for all commands at once", file=sys.stderr)
+        return USAGE_ERROR
+    return _run(name, rest)
+
+
 def _run(name: str, arguments: Sequence[str]) -> int:
     import hydra
 
     from toile.cli.configuration import CONF, flags_first, name_plain_arguments, name_scenes
     from toile.cli.failures import FULL_ERROR_VARIABLE, CommandError
+    from toile.cli.path_arguments import quote_paths
     from toile.cli.sweep import print_summary
 
     full = os.environ.get(FULL_ERROR_VARIABLE) == "1"
-    if name in RESUMABLE:
-        from toile.cli.resume import resume_arguments
-
-        try:
-            arguments = resume_arguments(arguments, RESUMABLE[name])
-        except Exception as error:
-            return _report(error, full)
-    task = _reporting(importlib.import_module(COMMANDS[name].module).run, full)
-    application = hydra.main(version_base="1.3", config_path=str(CONF), config_name=name)(task)
-    arguments = name_plain_arguments(arguments, COMMANDS[name].plain)
-    argv = [f"toile {name}", *flags_first(name_scenes(arguments))]
+    argv = [f"toile {name}"]
     with _hydra_leaves_errors_to_us(FULL_ERROR_VARIABLE), _argv(argv):
         try:
-            application()
+            if name in RESUMABLE and any(a.startswith("resume=") for a in arguments):
+                from toile.cli.resume import resume_arguments
+
+                arguments = resume_arguments(arguments, RESUMABLE[name])
+            arguments = quote_paths(name_plain_arguments(arguments, COMMANDS[name].plain))
+            argv += flags_first(name_scenes(arguments))
+            if {"-h", "--help"} & set(argv):
+                from toile.cli.shown import help_text
+
+                print(help_text(name, argv[1:]))
+                return 0
+            task = _reporting(_imported_when_called(COMMANDS[name].module), full)
+            hydra.main(version_base="1.3", config_path=str(CONF), config_name=name)(task)()
         except CommandError as failed:
             return failed.status
         except SystemExit as leaving:
             return leaving.code if isinstance(leaving.code, int) else 0
         except Exception as error:
-            return _report(error, full)
+            return _report(error, full, _suggestion(error, name, argv[1:]))
         finally:
             print_summary()
     return 0
+
+
+def _imported_when_called(module: str) -> Callable[[Any], Any]:
+    """``run`` of a module that is imported when a command really runs: not for --cfg, --info and mistakes."""
+    from toile.cli.configuration import register_resolvers
+
+    def run(cfg: Any) -> Any:
+        # A launcher's worker process gets this function and nothing else of the program, but it resolves a
+        # configuration before it calls it; naming this has the worker import the module that registers.
+        register_resolvers()
+        return importlib.import_module(module).run(cfg)
+
+    # Hydra calls the job, and its folder, after the module of the function.
+    run.__module__ = module
+    return run
+
+
+def _suggestion(error: Exception, command: str, arguments: Sequence[str]) -> str:
+    """What the user may have meant, as a line to add to the message; "" where nothing is close."""
+    from hydra.errors import ConfigCompositionException
+
+    if not isinstance(error, ConfigCompositionException):
+        return ""
+    from toile.cli.suggestions import suggestion
+
+    return suggestion(error, command, arguments)
 
 
 def _reporting(run: Callable[[Any], Any], full: bool) -> Callable[[Any], Any]:
@@ -116,7 +160,7 @@ def _reporting(run: Callable[[Any], Any], full: bool) -> Callable[[Any], Any]:
     return task
 
 
-def _report(error: Exception, full: bool) -> int:
+def _report(error: Exception, full: bool, suggestion: str = "") -> int:
     """Print the message of a failure and return its status; mistakes in the program are raised again."""
     from toile.cli.failures import explain
 
@@ -126,7 +170,7 @@ def _report(error: Exception, full: bool) -> int:
     if full:
         traceback.print_exception(error)
     else:
-        print(failure.message, file=sys.stderr)
+        print(failure.message + suggestion, file=sys.stderr)
     return failure.status
 
 

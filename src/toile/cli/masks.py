@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+import logging
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
-from rich.console import Console
-from rich.progress import track
 from rich.text import Text
 
 from toile.atomic_file import written_atomically
 from toile.cli.configuration import instantiate
 from toile.cli.terminal import console, print_path
+from toile.progress import Shown, counted
 from toile.reports.mask_pictures import mask_picture, rulers
 from toile.reports.overlay import Picture, write_video
 from toile.scenes.atomic_folder import entries_written_atomically
@@ -24,10 +24,12 @@ from toile.scenes.frame_times import check_number_of_frames
 from toile.scenes.images import read_mask, read_rgb, write_levels
 from toile.scenes.native import FILES
 from toile.scenes.picture_checks import PictureChecks
-from toile.scenes.segmentation.base import Segmentation, Segmented
+from toile.scenes.segmentation.base import Segmentation
 from toile.scenes.segmentation.checks import MaskMeasures, check_sequence
 from toile.scenes.segmentation.writing import FOLDERS, write_frames
 from toile.scenes.video import DESCRIPTION, open_clip
+
+log = logging.getLogger(__name__)
 
 PREVIEW = "masks.mp4"
 TIMES = ("recorded", "uniform")
@@ -49,11 +51,15 @@ def run(cfg: DictConfig) -> None:
         return
     folder = Path(str(cfg.scene.name))
     method: Segmentation = instantiate(cfg.method)
-    with entries_written_atomically(folder, NAMES, overwrite=cfg.overwrite) as new:
-        segmented = _with_progress(method.masks(clip.frames()), clip.expected_frames)
-        checks = PictureChecks(clip.expected_frames)
+    checks = PictureChecks(clip.expected_frames)
+    with (
+        Shown(log) as progress,
+        entries_written_atomically(folder, NAMES, overwrite=cfg.overwrite) as new,
+    ):
+        segmented = counted(method.masks(clip.frames()), progress, "masks", clip.expected_frames)
         measures = write_frames(new, clip, segmented, _notes(cfg), checks)
-        preview = write_video(_preview(new, measures, cfg.preview_height), new / PREVIEW, clip.fps)
+        pictures = counted(_preview(new, measures, cfg.preview_height), progress, PREVIEW, len(measures))
+        preview = write_video(pictures, new / PREVIEW, clip.fps)
     out = console()
     findings = [
         *clip.remarks,
@@ -81,13 +87,6 @@ def _preview(folder: Path, measures: Sequence[MaskMeasures], height: int) -> Ite
         frame, mask = read_rgb(folder / (FILES["rgb"] % number)), read_mask(folder / (FILES["mask"] % number))
         frame, mask = (picture[top:bottom, left:right] for picture in (frame, mask))
         yield mask_picture(frame.numpy(), mask.numpy() > 0, height, f"frame {number}")
-
-
-def _with_progress(segmented: Iterable[Segmented], total: int | None) -> Iterable[Segmented]:
-    terminal = Console(stderr=True)
-    return track(
-        segmented, "masks", total=total, console=terminal, disable=not terminal.is_terminal, transient=True
-    )
 
 
 def _earlier_template(folder: Path) -> list[Finding]:

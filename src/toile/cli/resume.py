@@ -8,8 +8,9 @@ from typing import Any
 
 import yaml
 
+from toile.cli.path_arguments import quoted
 from toile.errors import InputError
-from toile.fitting.callbacks.checkpoint import CycleCheckpoint
+from toile.fitting.checkpoints import LAST
 from toile.reports.run_folder import RunFolder, read_config
 from toile.reports.run_settings import WITHOUT_INFLUENCE
 
@@ -39,12 +40,12 @@ def resume_arguments(arguments: Sequence[str], what: str) -> list[str]:
         raise InputError(
             f"There is no {what} to continue",
             where=str(folder),
-            expected=f"a run folder with overrides.yaml and checkpoints/{CycleCheckpoint.NAME}",
+            expected=f"a run folder with overrides.yaml and checkpoints/{LAST}",
             got="no such folder" if not folder.is_dir() else "a folder without one of them",
         )
     before = _overrides(record)
     others = [a for a in arguments if a.partition("=")[0] != _KEY]
-    return [*before, *others, f"hydra.run.dir='{folder}'"]
+    return [*before, *others, f"hydra.run.dir={quoted(str(folder))}"]
 
 
 def _record(folder: Path) -> Path | None:
@@ -73,7 +74,7 @@ def _overrides(record: Path) -> list[str]:
 
 def checkpoint_path(folder: RunFolder) -> Path:
     """Where the last checkpoint of a run is, if it has one."""
-    return folder.path / "checkpoints" / CycleCheckpoint.NAME
+    return folder.path / "checkpoints" / LAST
 
 
 def is_finished(folder: RunFolder, config: str) -> bool:

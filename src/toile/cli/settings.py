@@ -53,7 +53,7 @@ COMMAND_SETTINGS: Mapping[str, Any] = {
     "pictures": Annotated[CountOrZero, Unit("frames")],
     "keep_camera_frame": bool,
     "threads": Count | None,
-    "max_minutes": Annotated[Positive, Unit("min")] | None,
+    "max_minutes": Annotated[NonNegative, Unit("min")] | None,
     "jobs": Jobs,
     "part": CountOrZero,
     "parts": Count,

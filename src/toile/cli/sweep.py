@@ -19,8 +19,6 @@ from toile.atomic_file import write_text
 from toile.cli.alone import FolderInUseError
 from toile.cli.failures import explain
 from toile.errors import InputError
-from toile.reports.run_folder import RunFolder
-from toile.reports.sweep import read_sweep
 
 _started: list[Path] = []
 
@@ -42,6 +40,8 @@ def noting_failures() -> Iterator[None]:
     if HydraConfig.get().mode is not RunMode.MULTIRUN:
         yield
         return
+    from toile.reports.run_folder import RunFolder
+
     note = RunFolder(Path(HydraConfig.get().runtime.output_dir)).failure
     note.unlink(missing_ok=True)
     try:
@@ -59,6 +59,9 @@ def print_summary() -> None:
     """Say how many runs of the sweep have a result, and why the others have none."""
     if not _started:
         return
+    # Here, because it loads PyTorch, which every command would wait for.
+    from toile.reports.sweep import read_sweep
+
     folder = _started.pop()
     try:
         sweep = read_sweep([folder])

@@ -3,21 +3,34 @@
 from __future__ import annotations
 
 import math
+import os
+import sys
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from toile.evaluation.evaluate import EvaluationResult
+if TYPE_CHECKING:
+    from toile.evaluation.evaluate import EvaluationResult
 
 PIPE_WIDTH = 160
 """Columns where the output is no terminal: enough that tables in a log are not cut."""
 
 
+class _Output(Console):
+    """A console that falls silent, instead of ending the program, when its reader (head, less) has gone."""
+
+    def on_broken_pipe(self) -> None:
+        """Send what is still printed to nowhere; the command goes on, and its exit status is its own."""
+        self.quiet = True
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
 def console() -> Console:
     """A console for results, on standard output."""
-    probe = Console()
-    return probe if probe.is_terminal else Console(width=PIPE_WIDTH)
+    probe = _Output()
+    return probe if probe.is_terminal else _Output(width=PIPE_WIDTH)
 
 
 def print_evaluation(result: EvaluationResult) -> None:

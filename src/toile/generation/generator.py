@@ -21,6 +21,7 @@ from toile.generation.starting_point import settled_sheet, starting_point
 from toile.generation.truth import describe, write
 from toile.geometry.camera import Camera
 from toile.geometry.mesh import grid_faces
+from toile.progress import Report, counted, silent
 from toile.rendering.warp import WarpRenderer
 from toile.scenes.masks import Box
 from toile.scenes.scene import GroundTruth, Scene
@@ -31,7 +32,11 @@ __all__ = ["GeneratorSettings", "generate", "write"]
 
 
 def generate(
-    settings: GeneratorSettings, texture: Tensor | None = None, template: Template | None = None
+    settings: GeneratorSettings,
+    texture: Tensor | None = None,
+    template: Template | None = None,
+    *,
+    report: Report = silent,
 ) -> tuple[Scene, dict[str, Any]]:
     """Simulate and render a scene.
 
@@ -45,6 +50,7 @@ def generate(
             its rows from left to right and axis 1 down. None for the template's own.
         template: real template to start from (grid as in the settings): its pose settles to an equilibrium;
             its camera, held vertices and mean edge lengths replace those of the settings.
+        report: told how far it is.
 
     Returns:
         The scene, and the truth as JSON values (truth.describe).
@@ -58,6 +64,7 @@ def generate(
     if template is not None and template.grid != tuple(settings.grid):
         raise wrong_setting("template", f"a grid of {settings.grid} as in the settings", template.grid)
     start = starting_point(settings, template)
+    report("settling", 0, None)
     sheet = settled_sheet(settings, start)
     motion = simulate(
         sheet,
@@ -68,8 +75,10 @@ def generate(
         fps=settings.fps,
         substeps=settings.substeps,
         newton=settings.newton,
+        report=report,
     )
-    camera, frames, masks, crop = _film(settings, start.camera, motion, *_print(settings, texture, template))
+    printed = _print(settings, texture, template)
+    camera, frames, masks, crop = _film(settings, start.camera, motion, *printed, report)
     vertices = coarsen(motion, settings.refinement)
     scene = Scene(
         name=settings.name,
@@ -91,7 +100,12 @@ def generate(
 
 
 def _film(
-    settings: GeneratorSettings, full: Camera, motion: Tensor, texture: Tensor, coordinates: Tensor
+    settings: GeneratorSettings,
+    full: Camera,
+    motion: Tensor,
+    texture: Tensor,
+    coordinates: Tensor,
+    report: Report,
 ) -> tuple[Camera, Tensor, Tensor, tuple[int, int]]:
     """Render the simulated grid (F, H', W', 3): camera, frames, masks, and (top, left) of the crop."""
     box = _visible_box(full.project(motion), full, settings.crop_margin)
@@ -100,7 +114,7 @@ def _film(
     faces = grid_faces(motion.shape[1], motion.shape[2])
     rng = np.random.default_rng([settings.seed, 1])
     frames, masks = [], []
-    for vertices in motion.reshape(len(motion), 1, -1, 3):
+    for vertices in counted(motion.reshape(len(motion), 1, -1, 3), report, "frames", len(motion)):
         images = renderer.render(vertices, faces, coordinates.reshape(-1, 2), texture, camera)
         rgb, mask = _expose(settings, images.rgb[0], images.silhouette[0], rng)
         frames.append(rgb)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -11,6 +12,8 @@ from toile.cloth.cloth import Cloth, grid_cloth
 from toile.cloth.material import Material
 from toile.cloth.state import State
 from toile.generation.motion import HeldMotion
+from toile.progress import Report, silent
+from toile.simulators.base import Simulator, StepResult
 from toile.simulators.implicit.integrators import BDF2
 from toile.simulators.implicit.newton import NewtonSettings
 from toile.simulators.implicit.simulator import ImplicitSimulator
@@ -58,6 +61,7 @@ def simulate(
     fps: float,
     substeps: int,
     newton: NewtonSettings,
+    report: Report = silent,
 ) -> Tensor:
     """Motion of a sheet that is at rest at frame 0.
 
@@ -71,6 +75,7 @@ def simulate(
         fps: frames per second.
         substeps: BDF2 steps per frame.
         newton: accuracy of every step.
+        report: told how many steps are done.
 
     Returns:
         Positions (F, H, W, 3) [m].
@@ -80,7 +85,7 @@ def simulate(
     """
     step = 1 / (fps * substeps)
     n_steps = (n_frames - 1) * substeps
-    simulator = ImplicitSimulator(sheet.cloth, step, BDF2(), newton)
+    simulator = _Counting(ImplicitSimulator(sheet.cloth, step, BDF2(), newton), n_steps, report)
     start = sheet.pose.reshape(1, -1, 3)
     times = step * torch.arange(n_steps + 1, dtype=torch.float64)
     anchors = start[:, sheet.cloth.held] + held_motion.displacement(times)[:, None]
@@ -88,3 +93,19 @@ def simulate(
     state = State.start(start, torch.zeros_like(start), step, simulator.n_past)
     motion = rollout(simulator, state, sheet.material, forces, anchors[None], substeps=1)
     return motion.positions[0, ::substeps].reshape(n_frames, *sheet.pose.shape)
+
+
+class _Counting(Simulator):
+    """A simulator that reports its steps, and is the one it holds in everything else."""
+
+    def __init__(self, simulator: Simulator, n_steps: int, report: Report) -> None:
+        self._simulator, self._n_steps, self._report = simulator, n_steps, report
+        self._done = 0
+        self.time_step, self.n_past = simulator.time_step, simulator.n_past
+
+    def step(self, *args: Any, **kwargs: Any) -> StepResult:
+        """One step of the simulator."""
+        result = self._simulator.step(*args, **kwargs)
+        self._done += 1
+        self._report("simulation", self._done, self._n_steps)
+        return result

@@ -28,16 +28,18 @@ import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-import pandas as pd
 import yaml
 
 from toile.atomic_file import write_text, written_atomically
 from toile.errors import InputError
 from toile.json_file import read_json_object
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 T = TypeVar("T")
 
@@ -351,6 +353,9 @@ def write_history(run: RunFolder, history: pd.DataFrame) -> Path:
 
 def read_history(run: RunFolder) -> pd.DataFrame:
     """Read the history of the optimisation."""
+    # Here, because most readers of a run have no use for it, and loading it takes half a second.
+    import pandas as pd
+
     return _read(run.history, "a CSV table", pd.read_csv)
 
 

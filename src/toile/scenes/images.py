@@ -74,7 +74,9 @@ def _decode(path: Path, mode: str) -> np.ndarray:
 
     try:
         with Image.open(path) as image:
-            return np.array(image.convert(mode))
+            image.load()
+            # Converting to the mode that it has would copy it.
+            return np.array(image if image.mode == mode else image.convert(mode))
     except FileNotFoundError as error:
         raise _missing(path) from error
     except Exception as error:

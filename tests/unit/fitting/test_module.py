@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -134,9 +135,16 @@ def test_roll_back_undoes_half_a_cycle(problem: MakeProblem, adam: MakeAdam) -> 
 
 
 def test_progress_as_log_lines(
-    problem: MakeProblem, adam: MakeAdam, caplog: pytest.LogCaptureFixture
+    problem: MakeProblem,
+    adam: MakeAdam,
+    caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    # Not the lines that a slow machine would get beside them.
+    monkeypatch.setattr("toile.progress.SECONDS_BETWEEN_LINES", math.inf)
     with caplog.at_level("INFO", logger="toile"):
         fit(FitModule(problem(), adam(cycles=3), 0), FitProgress(log_every=2))
-    assert [r.message.split(":")[0] for r in caplog.records] == ["cycle 2 of 3", "cycle 3 of 3"]
-    assert "3 of 5 frames" in caplog.records[0].message
+    lines = [r.message.split(":")[0] for r in caplog.records]
+    assert lines[0] == "fitting 5 frames in 3 cycles"
+    assert lines[1:] == ["cycle 2 of 3", "cycle 3 of 3"]
+    assert "3 of 5 frames" in caplog.records[1].message

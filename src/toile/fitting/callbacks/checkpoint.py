@@ -8,6 +8,7 @@ from typing import Any, final
 from lightning import Callback, LightningModule, Trainer
 
 from toile.atomic_file import written_atomically
+from toile.fitting.checkpoints import LAST
 from toile.limits import Count
 
 
@@ -22,7 +23,7 @@ class CycleCheckpoint(Callback):
         every: cycles between two checkpoints.
     """
 
-    NAME = "last.ckpt"
+    NAME = LAST
 
     def __init__(self, folder: str | Path, every: Count) -> None:
         if every < 1:

@@ -18,6 +18,7 @@ from rich.progress import (
 from toile.fitting.module import PER_FRAME, FitModule
 from toile.fitting.parameters import ClothParameters
 from toile.limits import Count
+from toile.progress import Lines
 
 log = logging.getLogger(__name__)
 
@@ -27,18 +28,21 @@ class FitProgress(Callback):
     """A bar with loss, frames covered and stiffness; plain log lines where there is no terminal.
 
     Args:
-        log_every: cycles between two log lines.
+        log_every: cycles between two log lines; there are more where cycles take longer than ten seconds.
     """
 
     def __init__(self, log_every: Count) -> None:
         self.log_every = log_every
         self._console = Console(stderr=True)
+        self._lines = Lines(log)
         self._bar: Progress | None = None
         self._task: Any = None
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Show the bar."""
         assert isinstance(pl_module, FitModule)
+        self._lines = Lines(log)
+        self._lines("cycle", pl_module.cycles_done, pl_module.n_cycles)
         if self._console.is_terminal:
             self._bar = Progress(
                 TextColumn("fit"),
@@ -52,6 +56,10 @@ class FitProgress(Callback):
                 "fit", total=pl_module.n_cycles, completed=pl_module.cycles_done, state=""
             )
             self._bar.start()
+        else:
+            log.info(
+                "fitting %d frames in %d cycles", pl_module.reconstruction.scene.n_frames, pl_module.n_cycles
+            )
 
     def on_train_batch_end(
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
@@ -66,6 +74,9 @@ class FitProgress(Callback):
             self._bar.update(self._task, completed=done, state=state)
         elif done % self.log_every == 0 or done == pl_module.n_cycles:
             log.info("cycle %d of %d: %s", done, pl_module.n_cycles, state)
+            self._lines.said()
+        else:
+            self._lines("cycle", done, pl_module.n_cycles, state)
 
     def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Leave the bar as it is."""
