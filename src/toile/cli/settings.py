@@ -23,7 +23,7 @@ from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
 
 from toile.errors import InputError
-from toile.limits import Count, CountOrZero, Fraction, Positive, Seed, TwoOrMore, Unit
+from toile.limits import Count, CountOrZero, Fraction, NonNegative, Positive, Seed, TwoOrMore, Unit
 
 Frames = Annotated[Count, Unit("frames")]
 Jobs = Annotated[Count, Unit("processes")] | Literal[-1]
