@@ -276,3 +276,9 @@ def test_names_of_scenes(scene, names, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "there,too").mkdir()
     assert name_scenes([f"scene={scene}"]) == ["scene=native", f"scene.name={names}"]
+
+
+def test_a_switch_is_no_path(toile) -> None:
+    """video=<file> names a path, report.video=false does not."""
+    _, out, _ = toile("fit", "scene=R1", "report.video=false", "--cfg", "job")
+    assert "video: false" in out

@@ -81,7 +81,8 @@ def _path_quoted(argument: str) -> str:
     if not equals or not value or argument.startswith(("-", "~")) or key == "scene":
         return argument
     meaning = parsed(value)
-    if isinstance(meaning, QuotedString) or meaning == value:
+    # report.video=false is a switch, though video=<file> is a path.
+    if isinstance(meaning, QuotedString | bool) or meaning == value:
         return argument
     is_path = key.rpartition(".")[2].lstrip("+") in _PATHS
     taken_wrongly = meaning is UNREADABLE or isinstance(meaning, int | float | str)
