@@ -352,3 +352,15 @@ def test_the_log_is_utf8_whatever_the_locale(swaying: Path) -> None:
     with initialize_config_dir(str(CONF), version_base="1.3"):
         cfg = compose("fit", ["scene.name=x"], return_hydra_config=True)
     assert cfg.hydra.job_logging.handlers.file.encoding == "utf-8"
+
+
+@pytest.mark.parametrize("name", ["config.yaml", "overrides.yaml"])
+@pytest.mark.parametrize("content", [b"a: [", b"\xff\xfe", b"[[[[", b"- 1\n- 2: {"])
+def test_records_of_a_run_that_are_no_yaml(stopped: Path, toile: Toile, name: str, content: bytes) -> None:
+    record = stopped.parent / name
+    whole = record.read_bytes()
+    record.write_bytes(content)
+    outcome = toile("fit", "resume=run")
+    assert outcome.status == 2
+    assert name in outcome.err
+    record.write_bytes(whole)

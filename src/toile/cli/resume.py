@@ -12,7 +12,7 @@ from toile.cli.path_arguments import quoted
 from toile.errors import InputError
 from toile.fitting.checkpoints import LAST
 from toile.reports.run_folder import RunFolder, read_config
-from toile.reports.run_settings import WITHOUT_INFLUENCE
+from toile.reports.run_settings import WITHOUT_INFLUENCE, read_settings
 
 _KEY = "resume"
 # Settings that may differ between the two halves of a run: they leave the result alone.
@@ -112,7 +112,8 @@ def last_checkpoint(folder: RunFolder, config: str) -> Path | None:
 
 
 def _check_settings(folder: RunFolder, config: str) -> None:
-    before, now = (_binding(yaml.safe_load(text)) for text in (read_config(folder), config))
+    before = _binding(read_settings(read_config(folder), str(folder.config)))
+    now = _binding(yaml.safe_load(config))
     changed = sorted(key for key in before.keys() | now.keys() if before.get(key) != now.get(key))
     if changed:
         raise InputError(

@@ -91,7 +91,7 @@ def check_timing(fps: float, where: str) -> list[Finding]:
 
 
 def check_held_vertices(held: Sequence[int], grid: tuple[int, int], where: str) -> list[Finding]:
-    """Held vertices are distinct indices of the grid; none, two or many are all fine."""
+    """Held vertices are distinct indices of the grid; none is unusual, since the cloth then falls."""
     where, n = f"{where}: held_vertices", grid[0] * grid[1]
     outside = [k for k in held if not 0 <= k < n]
     if outside:
@@ -108,6 +108,9 @@ def check_held_vertices(held: Sequence[int], grid: tuple[int, int], where: str) 
     if twice:
         got = ", ".join(map(str, twice)) + " more than once"
         return [Finding(Severity.ERROR, "Held vertex is listed twice", where, "distinct indices", got)]
+    if not held:
+        expected = "the vertices that it hangs from, if it hangs"
+        return [Finding(Severity.WARNING, "No vertex is held: the cloth falls", where, expected, "none")]
     return []
 
 
