@@ -121,6 +121,7 @@ def graded(tmp_path: Path) -> tuple[BlindSet, Predictions, SealKey]:
     description = {
         "composition": "standard",
         "blind": True,
+        "reality": {},
         "key": key.fingerprint,
         "notes": ["the first 12 of 60 scenes in the order of their names"],
         "scenes": list(SCENES),

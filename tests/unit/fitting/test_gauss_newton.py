@@ -223,7 +223,7 @@ def test_a_clip_filmed_upright_gives_the_rolled_answer(problem: Reconstruction) 
             clip,
             problem.cloth,
             lambda cloth, step: ImplicitSimulator(cloth, step, BDF2(), NewtonSettings()),
-            problem.substeps,
+            problem.frame_steps,
             p,
             problem.renderer,
         )

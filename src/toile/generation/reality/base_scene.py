@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, final
 
@@ -55,7 +55,7 @@ class RealitySettings:
     n_frames: Annotated[TwoOrMore, Unit("frames")] = 40
     fps: Annotated[Positive, Unit("1/s")] = 25.0
     image_side: Annotated[Count, Unit("px")] = 400
-    templates: tuple[str, ...] = ()
+    templates: tuple[str, ...] = field(kw_only=True)
     template_share: Fraction = 0.5
     data: Path | str | None = None
     texture_side: Annotated[Count, Unit("px")] = 700

@@ -381,5 +381,5 @@ def development_scene(
 ) -> MadeScene:
     """A scene of one effect ("none" for none), for development."""
     effects = () if effect == "none" else ((effect, level),)
-    setup = setup or RealitySettings()
+    setup = setup or RealitySettings(templates=())
     return make_scene(setup, SceneRequest(f"{effect}_{level}_{seed}", effects, seed))

@@ -36,6 +36,7 @@ SETUP = RealitySettings(
     texture_side=48,
     supersampling=1,
     blur_samples=3,
+    templates=(),
 )
 GRID, SIZE, FPS, N = (5, 6), (0.4, 0.5), 25.0, 7
 
