@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from toile.diagnosis import evidence as tried
 from toile.diagnosis.continuity import Discrepancy, WindowSystem
-from toile.diagnosis.evidence import Evidence
+from toile.diagnosis.evidence import DEFAULT, Evidence, EvidenceSettings
 
 INTERNAL = np.array([False, False, False, True, False])
 EXTERNAL = np.array([False, False, False, False, True])
@@ -35,7 +34,7 @@ def problem(seed: int, true: float):
 def test_differences_are_those_of_the_marginal_likelihood(columns: tuple[int, ...]) -> None:
     systems, jacobians, data = problem(0, 0.5)
     deviations = np.array([1.0, 2.0])
-    evidence = Evidence(systems, np.zeros(2), deviations, slack=1.5)
+    evidence = Evidence(systems, np.zeros(2), deviations, EvidenceSettings(slack=1.5))
 
     def exact(chosen: tuple[int, ...]) -> float:
         shared = [0, 1, *(2 + c for c in chosen)]
@@ -82,8 +81,8 @@ def test_where_forces_are_missing_the_discrepancy_grows(kind: int) -> None:
         for s, J in zip(systems, jacobians, strict=True)
     ]
     assert Evidence(missing, np.zeros(2), np.ones(2)).posterior(()).discrepancy[kind] > quiet[kind]
-    assert quiet.internal in tried.INTERNAL
-    assert quiet.external in tried.EXTERNAL
+    assert quiet.internal in DEFAULT.internal
+    assert quiet.external in DEFAULT.external
     assert len(data) == 2
 
 
@@ -94,8 +93,8 @@ def test_the_search_finds_the_best_of_all_discrepancies(seed: int, largest: Disc
     evidence = Evidence(systems, np.zeros(2), np.ones(2))
     allowed = [
         Discrepancy(a, b)
-        for a in tried.INTERNAL
-        for b in tried.EXTERNAL
+        for a in DEFAULT.internal
+        for b in DEFAULT.external
         if a <= largest.internal and b <= largest.external
     ]
     alone = [Evidence(systems, np.zeros(2), np.ones(2)) for _ in allowed]

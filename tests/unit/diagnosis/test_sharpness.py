@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from toile.diagnosis.sharpness import EXPOSURES, exposure_evidence, misfits, smear_of
+from toile.diagnosis.sharpness import DEFAULT, exposure_evidence, misfits, smear_of
 from toile.effects.catalogue import CATALOGUE
 
 N = 192
@@ -51,4 +51,4 @@ def test_sharp_and_evenly_blurred_frames_are_no_smear(blur: float) -> None:
 
 def test_too_few_patches_say_nothing() -> None:
     """A cloth at rest cannot tell."""
-    assert smear_of(np.zeros((len(EXPOSURES), 3))).log_evidence == 0.0
+    assert smear_of(np.zeros((DEFAULT.exposures, 3))).log_evidence == 0.0
