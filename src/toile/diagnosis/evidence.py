@@ -53,7 +53,7 @@ class EvidenceSettings:
     """What is tried for a hypothesis, and what it is charged.
 
     Attributes:
-        internal: deviations of an internal force mode that are tried, in rising order [m/s²].
+        internal: deviations of an internal force mode that are tried [m/s²].
         external: of an external one.
         slack: factor on the prior deviations of an effect's numbers: those say how large a number usually
             is, not how large it can be.
@@ -72,8 +72,8 @@ class EvidenceSettings:
     def tried(self, size: Discrepancy) -> Discrepancy:
         """The largest discrepancy that is tried and not above ``size``, or the smallest."""
         return Discrepancy(
-            max((d for d in self.internal if d <= size.internal), default=self.internal[0]),
-            max((d for d in self.external if d <= size.external), default=self.external[0]),
+            max((d for d in self.internal if d <= size.internal), default=min(self.internal)),
+            max((d for d in self.external if d <= size.external), default=min(self.external)),
         )
 
 
@@ -128,8 +128,8 @@ class Evidence:
     ) -> Posterior:
         """The hypothesis that frees these columns, at its best discrepancy up to ``largest``."""
         limit = self.settings.tried(largest)
-        internal = [d for d in self.settings.internal if d <= limit.internal]
-        external = [d for d in self.settings.external if d <= limit.external]
+        internal = sorted(d for d in self.settings.internal if d <= limit.internal)
+        external = sorted(d for d in self.settings.external if d <= limit.external)
         found: dict[tuple[int, int], Posterior] = {}
 
         def at(place: tuple[int, int]) -> float:

@@ -223,3 +223,20 @@ def test_some_of_the_shared_columns() -> None:
     part = Evidence([s.with_shared((0, 1, 3)) for s in systems], np.zeros(2), np.ones(2))
     assert part.posterior((2,)).log_evidence == pytest.approx(whole.posterior((3,)).log_evidence)
     np.testing.assert_allclose(part.posterior((2,)).mean, whole.posterior((3,)).mean)
+
+
+def test_discrepancies_and_scales_of_the_settings_are_tried() -> None:
+    systems, _, _ = problem(1, 0.5)
+    few = EvidenceSettings(internal=(0.4, 0.1), external=(0.1,), many=2, scales=(0.5, 1.0), forbidden=7.0)
+    evidence = Evidence(systems, np.zeros(2), np.ones(2), few)
+    assert evidence.posterior(()).discrepancy in (Discrepancy(0.4, 0.1), Discrepancy(0.1, 0.1))
+    # Whatever their order is; none is as small as this, so the smallest stands for it.
+    assert evidence.posterior((), Discrepancy(0.01, 0.01)).discrepancy == Discrepancy(0.1, 0.1)
+    both = [evidence.posterior((2, 3), slack=share * few.slack).log_evidence for share in few.scales]
+    free = Discrepancy(np.inf, np.inf)
+    assert evidence.scaled((2, 3), free).log_evidence == pytest.approx(max(both) - np.log(2))
+    # A number that is surely positive and is said to be none.
+    turned, _, _ = problem(1, -0.5)
+    negative = Evidence(turned, np.zeros(2), np.ones(2), few)
+    found = negative.signed((2,), np.zeros(1))
+    assert found.log_evidence == pytest.approx(negative.posterior(()).log_evidence - 7.0)
