@@ -14,6 +14,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from toile.cli.alone import alone
 from toile.cli.configuration import CONF, instantiate, output_folder, register_resolvers, resolved_yaml
 from toile.cli.fit import build_reconstruction
+from toile.cli.made_with import made_with_of
 from toile.cli.terminal import print_path
 from toile.diagnosis.diagnose import diagnose
 from toile.diagnosis.workers import Workers
@@ -22,6 +23,7 @@ from toile.evaluation.diagnosis_record import DIAGNOSIS_FILE, GapReport
 from toile.fitting.gauss_newton.recipe import TrackingRecipe
 from toile.reports.diagnosis_arrays import DiagnosisArrays
 from toile.reports.diagnosis_dashboard import write_diagnosis_dashboard
+from toile.reports.diagnosis_wording import mark
 from toile.reports.page.diagnosis_page import write_diagnosis_page
 from toile.reports.run_folder import create_run_folder, write_config, write_git_revision
 from toile.scenes.scene import Scene
@@ -46,7 +48,7 @@ def run(cfg: DictConfig) -> None:
     write_diagnosis_dashboard(folder.path / "tensorboard", report, arrays)
     verdict = report.verdict
     name = verdict.effect if verdict.also is None else f"{verdict.effect} and {verdict.also}"
-    print_path(f"{name} (probability {verdict.probability:.2f}): {verdict.reason}")
+    print_path(f"{name} (probability {verdict.probability:.2f}{mark(report)}): {verdict.reason}")
     if verdict.next_recording:
         print_path(f"next recording: {verdict.next_recording}")
     print_path(folder.path / DIAGNOSIS_FILE)
@@ -97,7 +99,14 @@ def _diagnose(cfg: DictConfig, folder: Path, progress: Any) -> tuple[Scene, GapR
         )
     with Workers(int(cfg.workers)) as workers:
         report = diagnose(
-            build_reconstruction(cfg, scene), recipe, effects, settings, folder, progress, workers
+            build_reconstruction(cfg, scene),
+            recipe,
+            effects,
+            settings,
+            folder,
+            progress,
+            workers,
+            made_with_of(cfg),
         )
     report.write(folder / DIAGNOSIS_FILE)
     return scene, report

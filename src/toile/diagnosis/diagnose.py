@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from pydantic import Field
 
 from toile.atomic_file import written_atomically
 from toile.diagnosis.aliases import alias_of
-from toile.diagnosis.border import BorderFit, border, border_evidence
-from toile.diagnosis.colours import ColourFit, brightness_evidence, colours
+from toile.diagnosis.border import BorderFit, BorderSettings, border, border_evidence
+from toile.diagnosis.colours import ColourFit, ColourSettings, brightness_evidence, colours
 from toile.diagnosis.continuity import Discrepancy
 from toile.diagnosis.decision import UNKNOWN, Calibration, Weights, probabilities, tempered
 from toile.diagnosis.effect_size import effect_size
+from toile.diagnosis.evidence import EvidenceSettings
 from toile.diagnosis.findings import (
+    WIDENED,
     Finding,
     Screening,
     estimates,
@@ -27,31 +32,38 @@ from toile.diagnosis.findings import (
     naive_answer,
 )
 from toile.diagnosis.gap_maps import gap_maps, stage_shares
-from toile.diagnosis.grip import SlipFit, slip_evidence
+from toile.diagnosis.grip import GripSettings, SlipFit, slip_evidence
+from toile.diagnosis.made_with import MADE_WITH_FILE, MadeWith
 from toile.diagnosis.mechanics import analyse_mechanics
 from toile.diagnosis.model_grid import model_grids
 from toile.diagnosis.numerics import StepRefinement, time_step_error
-from toile.diagnosis.refits import refits, settled
-from toile.diagnosis.sharpness import ExposureFit, exposure_evidence, smear
+from toile.diagnosis.refits import RefitSettings, refits, settled
+from toile.diagnosis.sharpness import ExposureFit, ExposureSettings, exposure_evidence, smear
 from toile.diagnosis.shooting import ShootingSettings
-from toile.diagnosis.shrinkage import held_out_shrinks, prediction_gains
+from toile.diagnosis.shrinkage import PredictionSettings, held_out_shrinks, prediction_gains
 from toile.diagnosis.stage_times import TIMES_FILE, StageTimes
 from toile.diagnosis.tracked import CoarseTracking, point_settings, track, tracked_motion
-from toile.diagnosis.verdict import until, verdict_of
+from toile.diagnosis.verdict import VerdictSettings, until, verdict_of
 from toile.diagnosis.workers import ALONE, Workers
 from toile.effects.anchor_slip import AnchorSlip
 from toile.effects.base import BrightnessEffect, CameraEffect, Effect, ExposureEffect, MaskEffect
 from toile.effects.catalogue import STAGES
 from toile.errors import InputError
-from toile.evaluation.diagnosis_record import EffectReport, GapReport, Protocol, Where
+from toile.evaluation.diagnosis_record import CalibrationUse, EffectReport, GapReport, Protocol, Where
 from toile.fitting.gauss_newton.recipe import TrackingRecipe
-from toile.fitting.lost_cloth import first_lost, outline_overlap
+from toile.fitting.lost_cloth import LEAST, first_lost, outline_overlap
 from toile.fitting.reconstruction import Reconstruction
+from toile.limits import Count, CountOrZero, Fraction, Positive, Seed, Unit
 from toile.scenes.scene import Scene
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 """Called with what is being done and the share that is done."""
+
+Side = Annotated[int, Field(ge=3)]
+"""Vertices along a side of a grid."""
+
+_log = logging.getLogger(__name__)
 
 TRACKED_FILE = "tracked.npz"
 VERTICES_FILE = "gap_vertices.npy"
@@ -59,11 +71,6 @@ FRAMES_FILE = "gap_frames_vertices.npy"
 SCREENING_FILE = "screening.npz"
 HELD_OUT_FILE = "held_out.npz"
 """Predicted positions of the held-out frames on the scene's grid, by what was in the model."""
-
-# Frames that are fitted at least.
-_FEWEST = 6
-# First-order log evidence from which on an effect is refitted.
-_PROMISING = -4.0
 
 
 @dataclass(frozen=True)
@@ -88,23 +95,48 @@ class DiagnosisSettings:
         compared: effects whose prediction of held-out frames is measured.
         placebos: force fields without meaning that are fitted and predicted beside them.
         seed: of everything random.
+        fewest_frames: that are fitted at least, whatever is held out or lost.
+        least_overlap: of the outline with the mask, as a share of frame 0's; with less the cloth is lost.
+        border: camera and mask, see BorderSettings.
+        colours: light, see ColourSettings.
+        exposure: see ExposureSettings.
+        grip: see GripSettings.
+        evidence: of effects that move the cloth, see EvidenceSettings.
+        refits: see RefitSettings.
+        prediction: see PredictionSettings.
+        widened: factor by which intervals of the linearised model are too narrow.
+        verdict: when an answer is given, see VerdictSettings.
+        calibration: file that makes probabilities of evidence, of ``toile calibrate``; None for the package's
+            own.
     """
 
-    sides: tuple[int, ...] = (20,)
-    held_out: float = 0.25
+    sides: Annotated[tuple[Side, ...], Field(min_length=1), Unit("vertices")] = (20,)
+    held_out: Annotated[float, Field(ge=0, lt=1)] = 0.25
     coarse: CoarseTracking | None = field(default_factory=CoarseTracking)
     shooting: ShootingSettings = field(default_factory=ShootingSettings)
-    stiffness: tuple[float, float, float] = (850.0, 2.8, 5.3e-5)
-    longest_substep: float = 0.005
+    stiffness: tuple[Positive, Positive, Positive] = (850.0, 2.8, 5.3e-5)
+    longest_substep: Annotated[Positive, Unit("s")] = 0.005
     refinement: StepRefinement | None = None
     usual_discrepancy: Discrepancy = field(default_factory=lambda: Discrepancy(1.6, 0.1))
-    usual_cost: float = 15.0
-    refitted: tuple[int, ...] = (5, 2)
-    settling_passes: int = 4
+    usual_cost: Positive = 15.0
+    refitted: tuple[CountOrZero, ...] = (5, 2)
+    settling_passes: CountOrZero = 4
     weights: Weights = field(default_factory=Weights)
-    compared: int = 3
-    placebos: int = 3
-    seed: int = 0
+    compared: CountOrZero = 3
+    placebos: CountOrZero = 3
+    seed: Seed = 0
+    fewest_frames: Annotated[Count, Unit("frames")] = 6
+    least_overlap: Fraction = LEAST
+    border: BorderSettings = field(default_factory=BorderSettings)
+    colours: ColourSettings = field(default_factory=ColourSettings)
+    exposure: ExposureSettings = field(default_factory=ExposureSettings)
+    grip: GripSettings = field(default_factory=GripSettings)
+    evidence: EvidenceSettings = field(default_factory=EvidenceSettings)
+    refits: RefitSettings = field(default_factory=RefitSettings)
+    prediction: PredictionSettings = field(default_factory=PredictionSettings)
+    widened: Positive = WIDENED
+    verdict: VerdictSettings = field(default_factory=VerdictSettings)
+    calibration: str | None = None
 
 
 def _require_even_spacing(scene: Scene) -> None:
@@ -129,6 +161,7 @@ def diagnose(
     folder: Path,
     progress: Progress,
     workers: Workers = ALONE,
+    made_with: MadeWith | None = None,
 ) -> GapReport:
     """Diagnose a clip; arrays go into the folder, and what has been tracked there before is used again.
 
@@ -140,6 +173,8 @@ def diagnose(
         folder: of the run.
         progress: called with what is being done and the share that is done.
         workers: share what can be done side by side.
+        made_with: all settings that matter, those of tracking among them; None if nobody knows: then
+            probabilities are uncalibrated.
 
     Returns:
         The report; the caller writes it.
@@ -148,18 +183,20 @@ def diagnose(
         InputError: the frames are unevenly spaced.
     """
     _require_even_spacing(reconstruction.scene)
+    calibration, use = _calibration(settings, made_with, folder)
     torch.manual_seed(settings.seed)
     scene = reconstruction.scene
     n_frames = scene.n_frames
-    used = max(_FEWEST, n_frames - round(settings.held_out * n_frames))
+    used = max(settings.fewest_frames, n_frames - round(settings.held_out * n_frames))
     _start_stiffness(reconstruction, settings.stiffness)
     times = StageTimes()
     with times.stage("tracking"):
         positions, cached = _tracked_positions(
-            reconstruction, recipe, settings.coarse, used, folder, progress
+            reconstruction, recipe, settings.coarse, used, folder, progress, settings.least_overlap
         )
         # What comes after that is no motion of this cloth.
-        known = max(_FEWEST, first_lost(outline_overlap(reconstruction, positions)))
+        kept = first_lost(outline_overlap(reconstruction, positions), settings.least_overlap)
+        known = max(settings.fewest_frames, kept)
         used = min(used, known)
     if cached:
         times.from_cache("tracking")
@@ -171,7 +208,7 @@ def diagnose(
             (grid, tracked_motion(reconstruction, positions, grid, points, settings.seed))
             for grid in model_grids(scene, reconstruction.cloth, settings.sides)
         ]
-        findings = _still_findings(reconstruction, positions[:used], effects)
+        findings = _still_findings(reconstruction, positions[:used], effects, settings)
     progress("base model", 0.5)
     done = [0]
 
@@ -191,20 +228,22 @@ def diagnose(
             count,
             workers,
             settings.refinement,
+            settings.evidence,
         )
     progress("base model, settled", 0.85)
     with times.stage("refits"):
         usual = settings.usual_discrepancy
-        best = settled(mechanics, scene.camera, usual, settings.settling_passes, workers)
+        best = settled(mechanics, scene.camera, usual, settings.settling_passes, workers, settings.refits)
         screened = mechanical_findings(best, usual)
         base, models = refits(
             best,
-            _promising(screened),
+            _promising(screened, settings.refits.promising),
             screened.charges,
             usual,
             settings.refitted,
             lambda what, share: progress(what, 0.86 + 0.06 * share),
             workers,
+            settings.refits,
         )
     for name, screening in screened.findings.items():
         if name in models:
@@ -214,10 +253,9 @@ def diagnose(
         else:
             # What has not been tried, or could not keep its promise, speaks for nothing.
             findings[name] = replace(screening, log_evidence=min(screening.log_evidence, 0.0))
-    calibration = Calibration.load()
     progress("what the effects foretell", 0.92)
     with times.stage("foretelling"):
-        gains = prediction_gains(mechanics, base, models, workers)
+        gains = prediction_gains(mechanics, base, models, workers, settings.prediction)
         width = mechanics.around.cloth_size[0]
         sizes = {name: effect_size(mechanics, model) / width for name, model in models.items()}
     with times.stage("numerics"):
@@ -246,6 +284,7 @@ def diagnose(
             horizon=settings.shooting.window,
             n_placebos=settings.placebos,
             seed=settings.seed,
+            settings=settings.prediction,
         )
     progress("maps", 0.97)
     with times.stage("maps"):
@@ -282,7 +321,9 @@ def diagnose(
     )
     by_name = {effect.NAME: effect for effect in effects}
     explained = left <= settings.usual_cost
-    verdict = verdict_of(chances, evidence, calibration, held_out.shrinks, explained=explained)
+    verdict = verdict_of(
+        chances, evidence, calibration, held_out.shrinks, explained=explained, settings=settings.verdict
+    )
     return GapReport(
         until(verdict, known) if known < n_frames else verdict,
         Where(stage_shares(evidence, calibration, numerics), maps.frames, VERTICES_FILE, maps.regimes),
@@ -291,7 +332,7 @@ def diagnose(
                 name,
                 STAGES[name].value,
                 chances[name],
-                estimates(findings[name], by_name[name]),
+                estimates(findings[name], by_name[name], settings.widened),
                 held_out.shrinks.get(name),
             )
             for name in ranked
@@ -304,40 +345,58 @@ def diagnose(
             f"toile {version('toile')}",
             naive_answer(best, findings),
         ),
+        use,
     )
 
 
+def _calibration(
+    settings: DiagnosisSettings, made_with: MadeWith | None, folder: Path
+) -> tuple[Calibration, CalibrationUse]:
+    """The calibration, and whether it belongs to these settings, which are written down; warns if not."""
+    file = None if settings.calibration is None else Path(settings.calibration)
+    calibration = Calibration.load(file)
+    use = calibration.use(made_with, file)
+    if made_with is not None:
+        made_with.write(folder / MADE_WITH_FILE)
+    if not use.calibrated:
+        _log.warning(
+            "uncalibrated: probabilities were not calibrated for these settings (%s)",
+            "; ".join(use.differences),
+        )
+    return calibration, use
+
+
 def _still_findings(
-    reconstruction: Reconstruction, positions: Array, effects: Sequence[Effect]
+    reconstruction: Reconstruction, positions: Array, effects: Sequence[Effect], settings: DiagnosisSettings
 ) -> dict[str, Finding]:
     """Findings from the outline of frame 0, brightness, sharpness and the paths of the held vertices."""
     scene = reconstruction.scene
-    outline = border(scene)
-    seen = colours(reconstruction, positions)
+    outline = border(scene, settings.border)
+    seen = colours(reconstruction, positions, settings.colours)
     findings = {}
     for effect in effects:
         fit: BorderFit | ColourFit | ExposureFit | SlipFit
         if isinstance(effect, CameraEffect | MaskEffect):
-            fit = border_evidence(effect, scene, outline)
+            fit = border_evidence(effect, scene, outline, settings.border)
         elif isinstance(effect, BrightnessEffect):
-            fit = brightness_evidence(effect, seen)
+            fit = brightness_evidence(effect, seen, settings.colours)
         elif isinstance(effect, ExposureEffect):
-            fit = exposure_evidence(effect, smear(reconstruction, positions))
+            fit = exposure_evidence(effect, smear(reconstruction, positions, settings.exposure))
         elif isinstance(effect, AnchorSlip):
             held = list(scene.held_vertices)
             pull = positions[0].mean(0) - positions[0][held]
-            fit = slip_evidence(effect, positions[:, held], scene.fps, pull)
+            fit = slip_evidence(effect, positions[:, held], scene.fps, pull, settings.grip)
         else:
             continue
         findings[effect.NAME] = finding(effect, fit.log_evidence, fit.mean, fit.covariance)
     return findings
 
 
-def _promising(screened: Screening) -> dict[str, tuple[int, ...]]:
+def _promising(screened: Screening, least: float) -> dict[str, tuple[int, ...]]:
     """Free numbers of the effects that are worth a fit of their own, the most promising first."""
     promise = {name: found.log_evidence for name, found in screened.findings.items()}
     names = sorted(promise, key=lambda name: -promise[name])
-    return {name: screened.free[name] for name in names if screened.free[name] and promise[name] > _PROMISING}
+    return {name: screened.free[name] for name in names if screened.free[name] and promise[name] > least}
 
 
 def _tracked_positions(
@@ -347,6 +406,7 @@ def _tracked_positions(
     used: int,
     folder: Path,
     progress: Progress,
+    least_overlap: float,
 ) -> tuple[Array, bool]:
     """Frame positions (F, N, 3) [m], and whether they come from the folder."""
     path = folder / TRACKED_FILE
@@ -359,7 +419,7 @@ def _tracked_positions(
     def report(frame: int, share: float) -> None:
         progress(f"tracking, frame {frame} of {n_frames}", 0.45 * share)
 
-    positions = track(reconstruction, recipe, coarse, used, report)
+    positions = track(reconstruction, recipe, coarse, used, report, least_overlap)
     _write_arrays(path, {"positions": positions, "used": np.array(used)})
     return positions, False
 

@@ -24,7 +24,7 @@ from toile.diagnosis.effect_columns import (
     apparent_columns,
     force_columns,
 )
-from toile.diagnosis.evidence import Evidence
+from toile.diagnosis.evidence import DEFAULT, Evidence, EvidenceSettings
 from toile.diagnosis.model_grid import ModelGrid
 from toile.diagnosis.numerics import StepRefinement, refined
 from toile.diagnosis.sensitivities import StepForces
@@ -80,6 +80,7 @@ def analyse_mechanics(
     report: Callable[[str, float], None],
     workers: Workers = ALONE,
     refinement: StepRefinement | None = None,
+    hypotheses: EvidenceSettings = DEFAULT,
 ) -> Mechanics:
     """Fit the base model to the first n_frames frames.
 
@@ -95,6 +96,7 @@ def analyse_mechanics(
         report: called with a message and the cost.
         workers: share the windows.
         refinement: of the time step; None to leave it as it is.
+        hypotheses: how the evidence of one is found.
     """
     substeps = substeps_per_frame(scene.fps, longest_substep)
     gravity = scene.gravity.numpy().astype(np.float64)
@@ -102,9 +104,15 @@ def analyse_mechanics(
     for grid, tracked in levels:
         last = grid is levels[-1][0]
         horizontal = horizontal_axes(torch.from_numpy(gravity)).numpy()
-        tension = template_tension(grid.cloth, tracked.positions[0], gravity, horizontal)
+        tension = template_tension(
+            grid.cloth, tracked.positions[0], gravity, horizontal, settings.tension_ridge
+        )
         simulator = ImplicitSimulator(
-            grid.cloth, 1 / scene.fps / substeps, BDF2(), NewtonSettings(_TOLERANCE), (tension,)
+            grid.cloth,
+            1 / scene.fps / substeps,
+            BDF2(),
+            NewtonSettings(settings.newton_tolerance),
+            (tension,),
         )
         held = grid.cloth.held.numpy()
         shooting = Shooting(
@@ -138,7 +146,7 @@ def analyse_mechanics(
         columns[effect.NAME] = (at, at + len(effect.scales))
         at += len(effect.scales)
     systems = effect_systems(shooting, fit, (), around, None, 0, workers)
-    evidence = Evidence(systems, fit.values, base_deviations(shooting))
+    evidence = Evidence(systems, fit.values, base_deviations(shooting), hypotheses)
     return Mechanics(shooting, fit, evidence, columns, {e.NAME: e for e in acting}, around)
 
 
@@ -193,7 +201,3 @@ def effect_systems(
 
     columns = [shared(window) for window in fit.windows]
     return window_systems(shooting, fit.windows, base, columns, seen, N_BASE + n_effects, simulator, workers)
-
-
-# Out-of-balance force over a vertex' weight: 0.01 m/s², far below any discrepancy that is looked at.
-_TOLERANCE = 1e-3

@@ -11,6 +11,7 @@ Keys of the file:
   ``high``, ``best_placebo``, ``oracle``}, ``gap``}], most probable first
 - ``alias``: ``names``, ``matrix``, ``detection_limits`` {name: number}
 - ``protocol``: ``seed``, ``frames_used``, ``frames_held_out``, ``version``, ``naive``
+- ``calibration``: ``calibrated``, ``file``, ``settings``, ``made_for``, ``differences`` [text]
 
 Numbers that do not exist are null. Keys that are not listed are refused: a typing error must not pass for a
 missing answer.
@@ -194,6 +195,25 @@ class Protocol:
 
 
 @dataclass(frozen=True)
+class CalibrationUse:
+    """Whether the probabilities are calibrated for the settings that the diagnosis was made with.
+
+    Attributes:
+        calibrated: whether the calibration belongs to these settings.
+        file: that it comes from, "" for the package's own.
+        settings: digest of the diagnosis' settings that matter, "" if they are not known.
+        made_for: digest of those that the calibration belongs to, "" if it does not say so.
+        differences: what is set otherwise, one line each.
+    """
+
+    calibrated: bool
+    file: str
+    settings: str
+    made_for: str
+    differences: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class GapReport:
     """The whole of ``diagnosis.json``."""
 
@@ -202,6 +222,7 @@ class GapReport:
     effects: tuple[EffectReport, ...]
     alias: Alias
     protocol: Protocol
+    calibration: CalibrationUse | None = None
 
     def effect(self, name: str) -> EffectReport | None:
         """The report on one candidate, None if it is not listed."""
@@ -232,6 +253,7 @@ class GapReport:
             effects=tuple(_effect(part) for part in top.parts("effects")),
             alias=_alias(top.part("alias")),
             protocol=_protocol(top.part("protocol")),
+            calibration=_calibration(top.optional_part("calibration")),
         )
         top.done()
         return report
@@ -439,6 +461,23 @@ def _protocol(part: _Reader) -> Protocol:
     )
     part.done()
     return protocol
+
+
+def _calibration(part: _Reader | None) -> CalibrationUse | None:
+    if part is None:
+        return None
+    calibrated = part.take("calibrated")
+    if not isinstance(calibrated, bool):
+        raise _wrong(part.at("calibrated"), "true or false", calibrated)
+    use = CalibrationUse(
+        calibrated=calibrated,
+        file=part.text("file"),
+        settings=part.text("settings"),
+        made_for=part.text("made_for"),
+        differences=part.texts("differences"),
+    )
+    part.done()
+    return use
 
 
 def _check_interval(where: str, low: float, estimate: float, high: float) -> None:

@@ -18,9 +18,8 @@ from toile.limits import Positive
 
 Array = NDArray[np.float64]
 
-# Share of frame 0's overlap. A wrong camera or mask lowers it in all frames alike; a tracked cloth that has
-# folded over, or slipped by a print's period, lowers it later.
-_LEAST = 0.9
+LEAST = 0.9
+"""See first_lost."""
 
 
 def outline_overlap(reconstruction: Reconstruction, positions: Array) -> Array:
@@ -33,9 +32,15 @@ def outline_overlap(reconstruction: Reconstruction, positions: Array) -> Array:
     return overlap
 
 
-def first_lost(overlap: Array) -> int:
-    """First frame whose outline overlaps far less than that of frame 0; the number of frames if none does."""
-    lost = np.flatnonzero(overlap < _LEAST * overlap[0])
+def first_lost(overlap: Array, least: float = LEAST) -> int:
+    """First frame whose outline overlaps far less than that of frame 0; the number of frames if none does.
+
+    Args:
+        overlap: of every frame (F,).
+        least: share of frame 0's overlap. A wrong camera or mask lowers it in all frames alike; a tracked
+            cloth that has folded over, or slipped by a print's period, lowers it later.
+    """
+    lost = np.flatnonzero(overlap < least * overlap[0])
     return int(lost[0]) if len(lost) else len(overlap)
 
 

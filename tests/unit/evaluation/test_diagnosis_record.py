@@ -9,6 +9,7 @@ import pytest
 from toile.errors import InputError
 from toile.evaluation.diagnosis_record import (
     Alias,
+    CalibrationUse,
     EffectReport,
     Estimate,
     GapReport,
@@ -36,12 +37,19 @@ def report() -> GapReport:
         ),
         alias=Alias(("gusts", "air_drag"), ((1.0, 0.2), (0.2, 1.0)), {"gusts": 0.1, "air_drag": None}),
         protocol=Protocol(1, (0, 1), (2,), "0.1", "air_drag"),
+        calibration=CalibrationUse(False, "mine.json", "0a1", "2b3", ("diagnosis.sides: 14",)),
     )
 
 
 def test_round_trip(tmp_path: Path) -> None:
     path = report().write(tmp_path / "diagnosis.json")
     assert GapReport.read(path) == report()
+
+
+def test_files_of_before_do_not_say_whether_they_are_calibrated() -> None:
+    values = report().to_json()
+    del values["calibration"]
+    assert GapReport.from_json(values).calibration is None
 
 
 def test_effects_are_sorted() -> None:
@@ -60,6 +68,8 @@ def test_effects_are_sorted() -> None:
         (("where", "frames"), [float("nan")], "finite"),
         (("alias", "matrix"), [[1.0]], "rows"),
         (("protocol", "seed"), 1.5, "whole"),
+        (("calibration", "calibrated"), "no", "true or false"),
+        (("calibration", "differences"), "all", "a list"),
         (("verdict", "efect"), "gusts", "efect"),
         (("effects", 0, "parameters", "deviation", "low"), 1.5, "between"),
     ],

@@ -20,6 +20,7 @@ from toile.evaluation.diagnosis_record import (
     NONE,
     UNKNOWN,
     Alias,
+    CalibrationUse,
     Estimate,
     GapReport,
     Shrink,
@@ -27,6 +28,7 @@ from toile.evaluation.diagnosis_record import (
     Where,
 )
 from toile.reports.diagnosis_arrays import DiagnosisArrays, gap_field
+from toile.reports.diagnosis_dashboard import answer_text, ranking_table
 from toile.reports.diagnosis_wording import (
     amount,
     answer,
@@ -491,3 +493,37 @@ def test_without_a_motion_in_a_browser(report: GapReport, tmp_path: Path) -> Non
     check_page(probe)
     assert "clock" not in probe
     assert picture.std() > 8
+
+
+DIFFERENCES = ("diagnosis.sides: [14], calibrated with [20]", "<a>", "b", "c", "d")
+
+
+def calibrated(report: GapReport, *differences: str) -> GapReport:
+    use = CalibrationUse(not differences, "", "0a1b", "2c3d", differences)
+    return dataclasses.replace(report, calibration=use)
+
+
+def test_an_uncalibrated_answer_says_so_wherever_it_says_a_probability(report: GapReport) -> None:
+    found = calibrated(report, *DIFFERENCES)
+    text = words(header(found))
+    assert "Uncalibrated: no scenes with known effects were diagnosed with these settings" in text
+    assert "diagnosis.sides: [14], calibrated with [20]; <a>; b; and 2 more" in text
+    assert "Probability 93 % (uncalibrated)" in text
+    assert "probability of this answer, uncalibrated" in text
+    # Under the answer, and in the table; the rest is listed where it is said how it was made.
+    assert text.index("The gap is air drag.") < text.index("Uncalibrated:")
+    everything = words(body(found))
+    assert "probability, uncalibrated" in everything
+    assert "b; c; d" in everything
+    assert "Uncalibrated:" in answer_text(found)
+    assert "probability, uncalibrated" in ranking_table(found)
+    ambiguous = words(header(answered(found, AMBIGUITY)))
+    assert "hold 96 % (uncalibrated) of the probability" in ambiguous
+    assert "air drag, uncalibrated" in ambiguous
+
+
+def test_a_calibrated_answer_and_one_of_before_say_nothing_of_it(report: GapReport) -> None:
+    for found in (calibrated(report), report):
+        assert "ncalibrated" not in words(body(found))
+        assert "ncalibrated" not in answer_text(found) + ranking_table(found)
+    assert "made with the same settings (0a1b)" in words(body(calibrated(report)))

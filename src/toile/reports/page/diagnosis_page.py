@@ -27,11 +27,13 @@ from toile.reports.diagnosis_wording import (
     STAGES,
     answer,
     beats_placebo,
+    calibration_caveat,
     certainty,
     change,
     change_between,
     frame_ranges,
     listed,
+    mark,
     percent,
     plain_name,
     shrinkage,
@@ -116,6 +118,8 @@ class DiagnosisPage:
         )
         # Caveats stand there: what is not explained, frames that do not count.
         reason = f'<p class="note">{escape(verdict.reason)}</p>' if verdict.reason else ""
+        caveat = calibration_caveat(self.report)
+        reason += f'<p class="note">{escape(caveat)}</p>' if caveat else ""
         shown = self._cards()
         cards = "".join(
             f'<div class="card"><span class="value">{value}</span>{escape(caption)}</div>'
@@ -132,9 +136,12 @@ class DiagnosisPage:
         report, verdict = self.report, self.report.verdict
         if verdict.effect == AMBIGUOUS:
             likely = {e.name: e.probability for e in report.effects if e.name in verdict.candidates}
-            cards = [(escape(percent(p)), plain_name(name)) for name, p in list(likely.items())[:4]]
+            cards = [
+                (escape(percent(p)), f"{plain_name(name)}{mark(report)}")
+                for name, p in list(likely.items())[:4]
+            ]
         else:
-            cards = [(escape(percent(verdict.probability)), "probability of this answer")]
+            cards = [(escape(percent(verdict.probability)), f"probability of this answer{mark(report)}")]
         if verdict.stage in STAGES:
             cards.append((escape(verdict.stage), f"stage: {STAGES[verdict.stage]}"))
         found = report.effect(verdict.effect)
@@ -190,7 +197,7 @@ class DiagnosisPage:
             return ""
         moves = "<th>moves the cloth by</th>" if self._knows_motion else ""
         head = (
-            "<tr><th>effect</th><th class='left'>probability</th>"
+            f"<tr><th>effect</th><th class='left'>probability{mark(self.report)}</th>"
             f"<th class='left'>estimates, 90 % intervals</th>{moves}<th>held-out error</th></tr>"
         )
         rows = [self._row(e) for e in shown]
@@ -361,6 +368,7 @@ class DiagnosisPage:
             else "",
             "seed": str(report.protocol.seed),
             "version": report.protocol.version,
+            "calibration": _calibration(report),
         }
         if screening is not None:
             internal, external = screening.discrepancy
@@ -393,6 +401,16 @@ def write_diagnosis_page(
         name: of the scene, where there is none.
     """
     return write_text(path, DiagnosisPage(report, arrays or DiagnosisArrays(), scene, name).render())
+
+
+def _calibration(report: GapReport) -> str:
+    use = report.calibration
+    if use is None:
+        return ""
+    name = use.file or "the package's own"
+    if use.calibrated:
+        return f"{name}, made with the same settings ({use.settings})"
+    return f"{name}; not for these settings ({use.settings or 'unknown'}): {'; '.join(use.differences)}"
 
 
 def _video(scene: Scene, n_frames: int) -> Video:
