@@ -15,7 +15,7 @@ from toile import __version__
 from toile.cli.commands import COMMANDS, overview
 
 USAGE_ERROR = 2
-RESUMABLE = {"fit": "fit", "train": "training"}
+RESUMABLE = {"fit": "fit", "train": "training", "diagnose": "diagnosis"}
 """Commands that take ``resume=<run folder>``, and what such a folder holds."""
 
 

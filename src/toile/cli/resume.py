@@ -1,4 +1,4 @@
-"""Continuing an interrupted fit or training."""
+"""Continuing an interrupted fit, training or diagnosis."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 
 import yaml
 
+from toile.atomic_file import write_text
 from toile.errors import InputError
 from toile.fitting.callbacks.checkpoint import CycleCheckpoint
 from toile.reports.run_folder import RunFolder, read_config
@@ -15,7 +16,11 @@ from toile.reports.run_settings import WITHOUT_INFLUENCE
 
 _KEY = "resume"
 # Settings that may differ between the two halves of a run: they leave the result alone.
-_FREE = (*WITHOUT_INFLUENCE, "max_minutes")
+_FREE = (*WITHOUT_INFLUENCE, "max_minutes", "workers")
+_OVERRIDES = Path(".hydra") / "overrides.yaml"
+_CHECKPOINT = f"checkpoints/{CycleCheckpoint.NAME}"
+# What there is to continue from; the results of a diagnosis' stages are looked for one by one.
+_BEGUN = {"diagnosis": "config.yaml"}
 
 
 def resume_arguments(arguments: Sequence[str], what: str) -> list[str]:
@@ -25,7 +30,7 @@ def resume_arguments(arguments: Sequence[str], what: str) -> list[str]:
 
     Args:
         arguments: of the command line.
-        what: "fit" or "training", for messages.
+        what: "fit", "training" or "diagnosis".
 
     Raises:
         InputError: the folder holds no run, or nothing to continue from.
@@ -34,12 +39,12 @@ def resume_arguments(arguments: Sequence[str], what: str) -> list[str]:
     if not folders:
         return list(arguments)
     folder = folders[-1]
-    record = folder / ".hydra" / "overrides.yaml"
-    if not record.is_file() or not checkpoint_path(RunFolder(folder)).is_file():
+    record, begun = folder / _OVERRIDES, _BEGUN.get(what, _CHECKPOINT)
+    if not record.is_file() or not (folder / begun).is_file():
         raise InputError(
             f"There is no {what} to continue",
             where=str(folder),
-            expected=f"a run folder with .hydra/overrides.yaml and checkpoints/{CycleCheckpoint.NAME}",
+            expected=f"a run folder with {_OVERRIDES} and {begun}",
             got="no such folder" if not folder.is_dir() else "a folder without one of them",
         )
     before = [str(a) for a in yaml.safe_load(record.read_text(encoding="utf-8")) or []]
@@ -49,7 +54,14 @@ def resume_arguments(arguments: Sequence[str], what: str) -> list[str]:
 
 def checkpoint_path(folder: RunFolder) -> Path:
     """Where the last checkpoint of a run is, if it has one."""
-    return folder.path / "checkpoints" / CycleCheckpoint.NAME
+    return folder.path / _CHECKPOINT
+
+
+def note_overrides(folder: RunFolder, overrides: Sequence[str]) -> None:
+    """Note the arguments that a run is started with, for ``resume_arguments``; what stands there stays."""
+    record = folder.path / _OVERRIDES
+    if not record.is_file():
+        write_text(record, yaml.safe_dump(list(overrides), allow_unicode=True))
 
 
 def is_finished(folder: RunFolder, config: str) -> bool:
@@ -65,7 +77,7 @@ def is_finished(folder: RunFolder, config: str) -> bool:
     # The page is the last thing a fit writes.
     if not (folder.config.is_file() and folder.metrics.is_file() and folder.page.is_file()):
         return False
-    _check_settings(folder, config)
+    check_settings(folder, config)
     return True
 
 
@@ -82,11 +94,20 @@ def last_checkpoint(folder: RunFolder, config: str) -> Path | None:
     path = checkpoint_path(folder)
     if not path.is_file():
         return None
-    _check_settings(folder, config)
+    check_settings(folder, config)
     return path
 
 
-def _check_settings(folder: RunFolder, config: str) -> None:
+def check_settings(folder: RunFolder, config: str) -> None:
+    """Refuse to go on in a folder with other settings than its own.
+
+    Args:
+        folder: of a run.
+        config: resolved configuration of this run, YAML text.
+
+    Raises:
+        InputError: a setting that the result follows from is another one.
+    """
     before, now = (_binding(yaml.safe_load(text)) for text in (read_config(folder), config))
     changed = sorted(key for key in before.keys() | now.keys() if before.get(key) != now.get(key))
     if changed:

@@ -164,7 +164,7 @@ def diagnose(
     Raises:
         InputError: the clip is too short, or something is asked for that a diagnosis does not do.
     """
-    check_problem(reconstruction, effects)
+    check_problem(reconstruction, effects, settings)
     clip = _Stages(reconstruction, recipe, effects, settings, folder, progress, workers)
     stages: tuple[tuple[float, str, Callable[[], object]], ...] = (
         (0.0, "tracking", lambda: clip.tracking),
@@ -209,13 +209,16 @@ def fitted_frames(n_frames: int, held_out: float) -> int:
     return fitted(n_frames)
 
 
-def check_problem(reconstruction: Reconstruction, effects: Sequence[Effect]) -> None:
-    """Refuse what a diagnosis would otherwise pass over in silence.
+def check_problem(
+    reconstruction: Reconstruction, effects: Sequence[Effect], settings: DiagnosisSettings
+) -> None:
+    """Refuse what a diagnosis cannot do, or would otherwise pass over in silence.
 
     Raises:
-        InputError: another simulator than the base model's, effects that act while the motion is tracked,
-            no candidates, or candidates with numbers.
+        InputError: too few frames, another simulator than the base model has, effects that act while the motion
+            is tracked, no candidates, or candidates with numbers.
     """
+    fitted_frames(reconstruction.scene.n_frames, settings.held_out)
     simulator = reconstruction.simulator
     if type(simulator) is not ImplicitSimulator or not isinstance(simulator.integrator, BDF2):
         of = type(simulator.integrator).__name__ if isinstance(simulator, ImplicitSimulator) else ""
