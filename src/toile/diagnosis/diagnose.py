@@ -215,8 +215,8 @@ def check_problem(
     """Refuse what a diagnosis cannot do, or would otherwise pass over in silence.
 
     Raises:
-        InputError: too few frames, another simulator than the base model has, effects that act while the motion
-            is tracked, no candidates, or candidates with numbers.
+        InputError: too few frames, another simulator than the base model has, effects that act while the
+            motion is tracked, no candidates, or candidates with numbers.
     """
     fitted_frames(reconstruction.scene.n_frames, settings.held_out)
     simulator = reconstruction.simulator

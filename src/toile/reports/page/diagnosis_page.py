@@ -141,8 +141,6 @@ class DiagnosisPage:
                 cards.append((escape(change), f"error on {found.shrink.held_out}{claim}"))
             for name, e in _telling(found.parameters)[:1]:
                 cards.append((_large(e), f"{name}, {_bounds(e)}"))
-            if found.gap is not None and found.gap.estimate > 0:
-                cards.append((_large(found.gap), f"that the effect moves the cloth, {_bounds(found.gap)}"))
         if self.arrays.vertices is not None and len(cards) < 5:
             mean = 1e3 * float(self.arrays.vertices.mean())
             cards.append(
@@ -186,10 +184,9 @@ class DiagnosisPage:
         others = [e for e in effects if e not in shown]
         if not effects:
             return ""
-        moves = "<th>moves the cloth by</th>" if self._knows_motion else ""
         head = (
             "<tr><th>effect</th><th class='left'>probability</th>"
-            f"<th class='left'>estimates, 90 % intervals</th>{moves}<th>held-out error</th></tr>"
+            "<th class='left'>estimates, 90 % intervals</th><th>held-out error</th></tr>"
         )
         rows = [self._row(e) for e in shown]
         rest = max(0.0, 1 - sum(e.probability for e in effects))
@@ -201,11 +198,6 @@ class DiagnosisPage:
         count = f"{len(others)} other{'s' if len(others) > 1 else ''} below {percent(LIKELY)}"
         return f'{ranking}<details class="ranking"><summary>{count}</summary>{more}</details>'
 
-    @property
-    def _knows_motion(self) -> bool:
-        """Whether it was measured how far any effect moves the cloth."""
-        return any(effect.gap is not None for effect in self.report.effects)
-
     def _row(self, effect: EffectReport) -> str:
         verdict = self.report.verdict
         chosen = effect.name in self._chosen
@@ -216,9 +208,6 @@ class DiagnosisPage:
             tags.append('<span class="tag chosen">in the 90 % set</span>')
         if effect.name == self.report.protocol.naive:
             tags.append('<span class="tag">naive answer</span>')
-        gap = "–" if effect.gap is None else f"{_value(effect.gap.estimate, effect.gap.unit)}<br>"
-        gap += "" if effect.gap is None else f"<i>{_bounds(effect.gap)}</i>"
-        gap = f"<td>{gap}</td>" if self._knows_motion else ""
         shrink = "–"
         if effect.shrink is not None:
             s = effect.shrink
@@ -228,7 +217,7 @@ class DiagnosisPage:
             f"<tr{' class=best' if chosen else ''}>"
             f"<th>{escape(plain_name(effect.name))}<small>{escape(effect.stage)}</small>{' '.join(tags)}</th>"
             f'<td class="share">{escape(percent(effect.probability))}{_bar(effect.probability, chosen)}</td>'
-            f"<td class='left'>{_estimates(effect.parameters)}</td>{gap}<td>{shrink}</td></tr>"
+            f"<td class='left'>{_estimates(effect.parameters)}</td><td>{shrink}</td></tr>"
         )
 
     def _without_effect(self, rest: float) -> list[str]:
@@ -248,7 +237,7 @@ class DiagnosisPage:
             rows.append(
                 f'<tr class="{"best" if chosen else "rest"}"><th>{label}{tag}</th>'
                 f'<td class="share">{escape(percent(probability))}{_bar(probability, chosen)}</td>'
-                f"<td></td>{'<td></td>' if self._knows_motion else ''}<td></td></tr>"
+                "<td></td><td></td></tr>"
             )
         return rows
 
