@@ -59,13 +59,13 @@ def _add_sources(digest: Any, folder: Any) -> None:
 def _parts(value: object) -> Iterable[memoryview | bytes]:
     """Bytes that tell the value from others; kinds are named, so that 1 and "1" differ."""
     match value:
+        case np.generic():  # first: np.float64 is a float as well
+            yield from _parts(value.item())
         case None | bool() | int() | float() | str() | bytes():
             # repr gives every digit of a float.
             yield f"{type(value).__name__} {value!r}".encode()
         case Enum():
             yield f"{_name(type(value))}.{value.name}".encode()
-        case np.generic():
-            yield from _parts(value.item())
         case torch.Tensor():
             yield from _parts(value.detach().cpu().numpy())
         case np.ndarray():

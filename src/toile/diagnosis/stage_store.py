@@ -73,21 +73,21 @@ class StageStore:
         """
         path = self._folder / file
         found = self._read(stage, path, kind, inputs)
-        if isinstance(found, Result):
-            log.info("%s: taken from %s", stage, path)
-            self._times.from_cache(stage)
-        else:
+        try:
+            if isinstance(found, Result):
+                log.info("%s: taken from %s", stage, path)
+                self._times.from_cache(stage)
+                return found
             if found:
                 log.info("%s: computed again, %s %s", stage, path, found)
             with self._times.stage(stage):
-                value = compute()
-                self._write(path, value, inputs)
-                del value
-                found = self._read(stage, path, kind, inputs)
-            if not isinstance(found, Result):
-                raise RuntimeError(f"{stage}: what was just stored {found}")
-        self._times.write(self._folder / TIMES_FILE)
-        return found
+                self._write(path, compute(), inputs)
+                made = self._read(stage, path, kind, inputs)
+        finally:
+            self._times.write(self._folder / TIMES_FILE)
+        if not isinstance(made, Result):
+            raise RuntimeError(f"{stage}: what was just stored {made}")
+        return made
 
     def _write(self, path: Path, value: object, inputs: Mapping[str, str]) -> None:
         flat = self._values.flat(value)
@@ -100,7 +100,7 @@ class StageStore:
         if not path.is_file():
             return ""
         try:
-            with np.load(path, allow_pickle=False) as stored:
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
                 if _INPUTS not in stored or _TREE not in stored:
                     return "does not say what it was made from"
                 before = json.loads(str(stored[_INPUTS]))
