@@ -231,7 +231,8 @@ def test_what_was_made_from_something_else_is_made_again(
     [
         (("scene.n_frames=7",), ("too short", "8 frames or more", "7 frames")),
         (("diagnosis.held_out=0.5", "scene.n_frames=10"), ("too short", "12 frames or more")),
-        (("optimization=adam", "loss=none"), ("optimization=tracking",)),
+        (("optimization=adam", "loss=none"), ("optimization=track",)),
+        (("optimization=tracking",), ("one stage", "calibrate, track")),
         (("optimization=identification",), ("one stage", "match, polish")),
         (("loss=paper",), ("loss=none",)),
         (("simulator=surrogate",), ("simulator=implicit", "SurrogateSimulator")),

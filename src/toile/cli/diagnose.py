@@ -127,7 +127,7 @@ def check_settings_are_used(cfg: DictConfig) -> None:
         raise InputError(
             "A diagnosis tracks the motion first",
             where="optimization",
-            expected="optimization=tracking",
+            expected="optimization=track",
             got=target,
         )
     stages = [name for name, stage in cfg.optimization.stages.items() if stage is not None]
@@ -135,7 +135,7 @@ def check_settings_are_used(cfg: DictConfig) -> None:
         raise InputError(
             "A diagnosis tracks the motion in one stage",
             where="optimization.stages",
-            expected="one of them; optimization=tracking has it",
+            expected="one of them, as optimization=track has",
             got=", ".join(map(str, stages)) or "none",
         )
     check_losses_are_used(cfg)
