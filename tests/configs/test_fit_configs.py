@@ -205,7 +205,6 @@ def test_the_stability_of_the_default_recipe_is_tested_by_more_passes() -> None:
     ("override", "order"),
     [
         ("optimization=tracking", ["calibrate", "track"]),
-        ("optimization=track", ["track"]),
         ("experiment=stability_tracking", ["calibrate", "track"]),
         ("optimization=identification", ["calibrate", "track", "match", "polish"]),
     ],
