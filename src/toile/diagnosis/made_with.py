@@ -24,8 +24,9 @@ NO_EVIDENCE = (
     "diagnosis.prediction.block",
     "diagnosis.prediction.resamplings",
     "diagnosis.verdict",
+    "simulator.largest_time_error",
 )
-"""Settings of a diagnosis that come after the probabilities, or beside them."""
+"""Settings that come after the probabilities of a diagnosis, or beside them; its frames are evenly spaced."""
 
 AFTER_MEASURING = ("diagnosis.weights", "diagnosis.usual_cost")
 """Settings by which evidence is made from what a run has measured; they can be chosen afterwards."""

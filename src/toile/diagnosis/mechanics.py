@@ -98,33 +98,10 @@ def analyse_mechanics(
         refinement: of the time step; None to leave it as it is.
         hypotheses: how the evidence of one is found.
     """
-    substeps = substeps_per_frame(scene.fps, longest_substep)
-    gravity = scene.gravity.numpy().astype(np.float64)
     fit: BaseFit | None = None
     for grid, tracked in levels:
         last = grid is levels[-1][0]
-        horizontal = horizontal_axes(torch.from_numpy(gravity)).numpy()
-        tension = template_tension(
-            grid.cloth, tracked.positions[0], gravity, horizontal, settings.tension_ridge
-        )
-        simulator = ImplicitSimulator(
-            grid.cloth,
-            1 / scene.fps / substeps,
-            BDF2(),
-            NewtonSettings(settings.newton_tolerance),
-            (tension,),
-        )
-        held = grid.cloth.held.numpy()
-        shooting = Shooting(
-            simulator,
-            substeps,
-            gravity,
-            horizontal,
-            grid.grid,
-            tracked.positions[:, held],
-            tracked,
-            settings,
-        )
+        shooting = shooting_of(scene, grid, tracked, settings, longest_substep)
         start = np.array(stiffness) * (1.0, grid.units.length**2, 1.0)
         passes = None if last else 0
         fit = fit_base(shooting, tracked.positions[0], start, n_frames, report, fit, passes, workers)
@@ -132,8 +109,68 @@ def analyse_mechanics(
     if refinement is not None:
         nothing = refinement.tolerance * grid.cloth_size[0]
         shooting, fit = refined(shooting, fit, nothing, refinement.shortest, report, workers)
-    around = Surroundings(grid.cloth, grid.cloth_size, torch.from_numpy(gravity), scene.fps, scene.n_frames)
-    # At zero, whatever numbers a candidate comes with.
+    around = surroundings(scene, grid)
+    systems = effect_systems(shooting, fit, (), around, None, 0, workers)
+    return mechanics_around(shooting, fit, systems, effects, around, hypotheses)
+
+
+def shooting_of(
+    scene: Scene, grid: ModelGrid, tracked: Tracked, settings: ShootingSettings, longest_substep: float
+) -> Shooting:
+    """The problem on one grid.
+
+    Args:
+        scene: its gravity and frame rate are used.
+        grid: of the model.
+        tracked: motion on it.
+        settings: see ShootingSettings.
+        longest_substep: [s].
+    """
+    substeps = substeps_per_frame(scene.fps, longest_substep)
+    gravity = scene.gravity.numpy().astype(np.float64)
+    horizontal = horizontal_axes(torch.from_numpy(gravity)).numpy()
+    tension = template_tension(grid.cloth, tracked.positions[0], gravity, horizontal, settings.tension_ridge)
+    simulator = ImplicitSimulator(
+        grid.cloth, 1 / scene.fps / substeps, BDF2(), NewtonSettings(settings.newton_tolerance), (tension,)
+    )
+    held = grid.cloth.held.numpy()
+    return Shooting(
+        simulator,
+        substeps,
+        gravity,
+        horizontal,
+        grid.grid,
+        tracked.positions[:, held],
+        tracked,
+        settings,
+    )
+
+
+def surroundings(scene: Scene, grid: ModelGrid) -> Surroundings:
+    """The nominal clip on the model's grid."""
+    gravity = torch.from_numpy(scene.gravity.numpy().astype(np.float64))
+    return Surroundings(grid.cloth, grid.cloth_size, gravity, scene.fps, scene.n_frames)
+
+
+def mechanics_around(
+    shooting: Shooting,
+    fit: BaseFit,
+    systems: Sequence[WindowSystem],
+    effects: Sequence[Effect],
+    around: Surroundings,
+    hypotheses: EvidenceSettings = DEFAULT,
+) -> Mechanics:
+    """What is known around a base model.
+
+    Args:
+        shooting: the problem.
+        fit: the base model.
+        systems: around it, of all windows, with the columns of all effects or without.
+        effects: candidates; those that act neither through forces nor the camera are passed over.
+        around: the nominal clip on the model's grid.
+        hypotheses: how the evidence of one is found.
+    """
+    # At zero: what is asked is whether they act at all.
     acting = [
         effect.with_values(torch.zeros_like(effect.scales))
         for effect in effects
@@ -145,7 +182,6 @@ def analyse_mechanics(
     for effect in acting:
         columns[effect.NAME] = (at, at + len(effect.scales))
         at += len(effect.scales)
-    systems = effect_systems(shooting, fit, (), around, None, 0, workers)
     evidence = Evidence(systems, fit.values, base_deviations(shooting), hypotheses)
     return Mechanics(shooting, fit, evidence, columns, {e.NAME: e for e in acting}, around)
 

@@ -42,7 +42,7 @@ def time_step_error(shooting: Shooting, fit: BaseFit) -> float:
 
     Both start from the same positions and velocities, with the same forces and held vertices.
     """
-    finer = _halved(shooting)
+    finer = halved(shooting)
     return _distance(shooting, fit.windows, finer, _finer_windows(shooting, finer, fit.windows, fit.base))
 
 
@@ -65,7 +65,7 @@ def refined(
         workers: share the windows.
     """
     while shooting.simulator.time_step / 2 > (1 - 1e-6) * shortest:
-        finer = _halved(shooting)
+        finer = halved(shooting)
         windows = _finer_windows(shooting, finer, fit.windows, fit.base, workers)
         if _distance(shooting, fit.windows, finer, windows) <= tolerance:
             break
@@ -74,7 +74,7 @@ def refined(
     return shooting, fit
 
 
-def _halved(shooting: Shooting) -> Shooting:
+def halved(shooting: Shooting) -> Shooting:
     """The problem with two steps for every one."""
     nominal = shooting.simulator
     assert isinstance(nominal, ImplicitSimulator)

@@ -64,7 +64,6 @@ class Refit:
             lowered the cost: what it promised to first order is not there.
         base: stiffness and wind.
         windows: simulated.
-        evidence: of hypotheses around there.
         gained: log evidence beyond that of the base model after as many passes.
         image_cost: negative log-likelihood of the fitted frames, up to a constant.
         mean, covariance: of the effect's numbers in prior deviations (n,), (n, n).
@@ -73,11 +72,27 @@ class Refit:
     effects: tuple[Effect, ...]
     base: Base
     windows: list[WindowMotion]
-    evidence: Evidence
     gained: float
     image_cost: float
     mean: Array
     covariance: Array
+
+
+@dataclass(frozen=True)
+class Race:
+    """The base model and the promising effects at their best fits.
+
+    Attributes:
+        base: the base model, which has had as many passes as any effect.
+        effects: those that act where they have ended, by name.
+        beyond: log evidence that the base model gains by forces larger than usual.
+        discrepancy: of the base model then.
+    """
+
+    base: Refit
+    effects: dict[str, Refit]
+    beyond: float
+    discrepancy: Discrepancy
 
 
 @dataclass(frozen=True)
@@ -244,13 +259,17 @@ class Refitting:
             place.effects,
             base,
             place.windows,
-            self._evidence(place.systems, place.values, place.numbers),
             # What more passes bring any model is no merit of the one that has had them.
             place.log_evidences[-1] - base_model.log_evidences[: len(place.log_evidences)][-1],
             place.image_cost,
             mean,
             covariance,
         )
+
+    def evidence(self) -> Evidence:
+        """Of hypotheses around where it is."""
+        place = self._place
+        return self._evidence(place.systems, place.values, place.numbers)
 
     def _evidence(self, systems: list[WindowSystem], values: Array, numbers: Array) -> Evidence:
         first = self._mechanics.evidence
@@ -292,7 +311,7 @@ def refits(
     report: Callable[[str, float], None],
     workers: Workers = ALONE,
     settings: RefitSettings = DEFAULT,
-) -> tuple[Refit, dict[str, Refit]]:
+) -> Race:
     """The base model and the promising effects at their best fits, as a race: the last drop out early.
 
     Args:
@@ -304,9 +323,6 @@ def refits(
         report: called with what has been done and the share that is done.
         workers: share the hypotheses.
         settings: see RefitSettings.
-
-    Returns:
-        The base model, which has had as many passes, and the effects that act where they have ended.
     """
     total, done = sum(tried) + len(tried), 0
     base = Refitting(mechanics, None, (), usual, settings)
@@ -324,7 +340,11 @@ def refits(
             done += 1
             report(f"refit of {name}", done / total)
     found = {name: model.result(base) for name, model in models.items()}
-    return base.result(base), {name: model for name, model in found.items() if model.effects}
+    acting = {name: model for name, model in found.items() if model.effects}
+    evidence = base.evidence()
+    missing = evidence.posterior(())
+    beyond = missing.log_evidence - evidence.posterior((), usual).log_evidence
+    return Race(base.result(base), acting, beyond, missing.discrepancy)
 
 
 def _step(

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from toile.evaluation.silhouette import intersection_over_union
 from toile.fitting.reconstruction import Reconstruction
-from toile.limits import Positive
+from toile.limits import Fraction, Positive
 
 Array = NDArray[np.float64]
 
@@ -51,10 +51,13 @@ class LostClothGuard:
     Attributes:
         mask_factor: by how much the silhouette weighs more in the first stage of a second try; None: there is
             no second try, and what is lost is only said.
+        least_overlap: of outline and mask, as a share of frame 0's; with less the cloth is lost.
     """
 
     mask_factor: Positive | None = 10.0
+    least_overlap: Fraction = LEAST
 
     def first_lost(self, reconstruction: Reconstruction, trajectory: torch.Tensor) -> int:
         """First frame of a trajectory (F, H, W, 3) [m] in which the cloth is lost, or F."""
-        return first_lost(outline_overlap(reconstruction, trajectory.flatten(1, 2).numpy()))
+        overlap = outline_overlap(reconstruction, trajectory.flatten(1, 2).numpy())
+        return first_lost(overlap, self.least_overlap)

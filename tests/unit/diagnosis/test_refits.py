@@ -105,7 +105,8 @@ def race(mechanics: Mechanics, tried: tuple[int, ...]) -> tuple[Refit, dict[str,
     screened = mechanical_findings(mechanics, USUAL)
     order = sorted(NAMES, key=lambda name: -screened.findings[name].log_evidence)
     free = {name: screened.free[name] for name in order if screened.free[name]}
-    return refits(mechanics, free, screened.charges, USUAL, tried, lambda what, share: None)
+    found = refits(mechanics, free, screened.charges, USUAL, tried, lambda what, share: None)
+    return found.base, found.effects
 
 
 def test_the_size_of_an_effect_is_how_far_it_moves_the_cloth(mechanics: Mechanics) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
 
 from toile.errors import InputError
 from toile.evaluation.diagnosis_record import (
+    FORMAT,
     Alias,
     CalibrationUse,
     EffectReport,
@@ -30,8 +32,7 @@ def report() -> GapReport:
                 "actuation",
                 0.8,
                 {"deviation": Estimate(1.0, 0.5, 2.0, "m/s²")},
-                Shrink("position [mm]", "frames 30 to 39", 10.0, 4.0, 0.6, 0.5, 0.7, 0.1, None),
-                Estimate(3.0, 2.0, 4.0, "%"),
+                Shrink("position [mm]", "frames 30 to 39", 10.0, 4.0, 0.6, 0.5, 0.7, 0.1),
             ),
             EffectReport("air_drag", "mechanics", 0.1),
         ),
@@ -50,6 +51,27 @@ def test_files_of_before_do_not_say_whether_they_are_calibrated() -> None:
     values = report().to_json()
     del values["calibration"]
     assert GapReport.from_json(values).calibration is None
+
+
+def test_the_first_format_is_read() -> None:
+    """It had two more keys, which never held a number; in the second one they are mistakes."""
+    values = report().to_json()
+    assert values.pop("format") == FORMAT
+    values["effects"][0]["gap"] = None
+    values["effects"][0]["shrink"]["oracle"] = None
+    assert GapReport.from_json(values) == report()
+    with pytest.raises(InputError, match=r"gap|oracle"):
+        GapReport.from_json({**values, "format": FORMAT})
+    with pytest.raises(InputError, match="format"):
+        GapReport.from_json({**report().to_json(), "format": FORMAT + 1})
+
+
+@pytest.mark.parametrize("path", sorted(Path(__file__).parents[3].glob("docs/results/**/*.json")), ids=str)
+def test_committed_answers_are_read(path: Path) -> None:
+    values = json.loads(path.read_text())
+    if "verdict" not in values:
+        pytest.skip("no diagnosis")
+    assert GapReport.from_json(values).verdict.effect == values["verdict"]["effect"]
 
 
 def test_effects_are_sorted() -> None:

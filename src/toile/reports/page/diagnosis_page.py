@@ -40,7 +40,7 @@ from toile.reports.diagnosis_wording import (
 )
 from toile.reports.page.charts import field_maps
 from toile.reports.page.diagnosis_charts import alias_matrix, held_out, mean_map, over_time
-from toile.reports.page.document import document, figure, number, section, table, with_unit
+from toile.reports.page.document import document, figure, number, section, table, warning_box, with_unit
 from toile.reports.page.viewer import Video, viewer
 from toile.reports.run_report import OBSERVED_SIZE, held_vertices
 from toile.scenes.scene import Scene
@@ -127,7 +127,8 @@ class DiagnosisPage:
         )
         return (
             f'<header><p class="eyebrow">toile · diagnosis of {escape(title)}</p>'
-            f'<h1 class="answer">{escape(answer(self.report))}</h1><p class="lead">{lead}</p>{reason}{advice}'
+            f'<h1 class="answer">{escape(answer(self.report))}</h1>{warning_box(self.report.warnings)}'
+            f'<p class="lead">{lead}</p>{reason}{advice}'
             f'<div class="cards" style="max-width: {260 * len(shown)}px">{cards}</div></header>'
         )
 
@@ -151,8 +152,6 @@ class DiagnosisPage:
                 cards.append((change(found.shrink.estimate), f"error on {found.shrink.held_out}{claim}"))
             for name, e in _telling(found.parameters)[:1]:
                 cards.append((_large(e), f"{name}, {_bounds(e)}"))
-            if found.gap is not None and found.gap.estimate > 0:
-                cards.append((_large(found.gap), f"that the effect moves the cloth, {_bounds(found.gap)}"))
         if self.arrays.vertices is not None and len(cards) < 5:
             mean = 1e3 * float(self.arrays.vertices.mean())
             what = "mean distance of the base model, left to itself for a few frames, from the tracked cloth"
@@ -195,10 +194,9 @@ class DiagnosisPage:
         others = [e for e in effects if e not in shown]
         if not effects:
             return ""
-        moves = "<th>moves the cloth by</th>" if self._knows_motion else ""
         head = (
             f"<tr><th>effect</th><th class='left'>probability{mark(self.report)}</th>"
-            f"<th class='left'>estimates, 90 % intervals</th>{moves}<th>held-out error</th></tr>"
+            "<th class='left'>estimates, 90 % intervals</th><th>held-out error</th></tr>"
         )
         rows = [self._row(e) for e in shown]
         rest = max(0.0, 1 - sum(e.probability for e in effects))
@@ -210,11 +208,6 @@ class DiagnosisPage:
         count = f"{len(others)} other{'s' if len(others) > 1 else ''} below {percent(LIKELY)}"
         return f'{ranking}<details class="ranking"><summary>{count}</summary>{more}</details>'
 
-    @property
-    def _knows_motion(self) -> bool:
-        """Whether it was measured how far any effect moves the cloth."""
-        return any(effect.gap is not None for effect in self.report.effects)
-
     def _row(self, effect: EffectReport) -> str:
         verdict = self.report.verdict
         chosen = effect.name in self._chosen
@@ -225,12 +218,6 @@ class DiagnosisPage:
             tags.append('<span class="tag chosen">in the 90 % set</span>')
         if effect.name == self.report.protocol.naive:
             tags.append('<span class="tag">naive answer</span>')
-        gap = "–"
-        if effect.gap is not None:
-            moves = effect.gap.high > 0 or effect.gap.estimate > 0
-            gap = f"{_value(effect.gap.estimate, effect.gap.unit)}<br><i>{_bounds(effect.gap)}</i>"
-            gap = gap if moves else "not at all"
-        gap = f"<td data-label='moves the cloth by'>{gap}</td>" if self._knows_motion else ""
         shrink = "–"
         if effect.shrink is not None:
             s = effect.shrink
@@ -241,7 +228,7 @@ class DiagnosisPage:
             f"<tr{' class=best' if chosen else ''}>"
             f"<th>{escape(plain_name(effect.name))}<small>{escape(effect.stage)}</small>{' '.join(tags)}</th>"
             f'<td class="share">{escape(percent(effect.probability))}{_bar(effect.probability, chosen)}</td>'
-            f"<td class='left'>{_estimates(effect.parameters)}</td>{gap}"
+            f"<td class='left'>{_estimates(effect.parameters)}</td>"
             f"<td data-label='held-out error'>{shrink}</td></tr>"
         )
 
@@ -262,7 +249,7 @@ class DiagnosisPage:
             rows.append(
                 f'<tr class="{"best" if chosen else "rest"}"><th>{label}{tag}</th>'
                 f'<td class="share">{escape(percent(probability))}{_bar(probability, chosen)}</td>'
-                f"<td></td>{'<td></td>' if self._knows_motion else ''}<td></td></tr>"
+                "<td></td><td></td></tr>"
             )
         return rows
 
