@@ -4,7 +4,7 @@
 
 They come from the same generators as the blind sets, under seeds of their own, and are no test of anything.
 Everything lies in ``outputs/development`` and is kept: ``scenes``, ``truth`` (vertices and label), ``runs``,
-``labels.json`` for ``calibrate_diagnosis.py``. The table is ``docs/results/diagnosis_development.md``.
+``labels.json`` for ``toile calibrate``. The table is ``docs/results/diagnosis_development.md``.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ import toile.cli  # noqa: F401  # isort: skip  # first, because it sets the numb
 
 import numpy as np
 import pandas as pd
-from calibrate_diagnosis import evidence_of, verdict_by
 
 from toile.atomic_file import write_text, written_atomically
 from toile.cli.diagnose import diagnose_scene
-from toile.diagnosis.decision import Calibration, probabilities
-from toile.diagnosis.diagnose import SCREENING_FILE, TRACKED_FILE
+from toile.diagnosis.calibration import evidence_of, verdict_by
+from toile.diagnosis.decision import Calibration, Weights, probabilities
+from toile.diagnosis.diagnose import SCREENING_FILE, TRACKED_FILE, DiagnosisSettings
 from toile.evaluation.diagnosis_record import DIAGNOSIS_FILE, GapReport
 from toile.generation.reality.base_scene import RealitySettings
 from toile.generation.reality.blind_set import PlannedScene, write_opaque
@@ -97,7 +97,8 @@ def row(scene: PlannedScene, runs: Path) -> dict[str, object]:
         true = stored["vertices"].astype(float)
     with np.load(runs / scene.name / TRACKED_FILE) as stored:
         off = stored["positions"].reshape(true.shape) - true
-    evidence, calibration = evidence_of(runs / scene.name), Calibration.load()
+    evidence = evidence_of(runs / scene.name, Weights(), DiagnosisSettings().usual_cost)
+    calibration = Calibration.load()
     chances, verdict = probabilities(evidence, calibration), verdict_by(evidence, calibration)
     with np.load(runs / scene.name / SCREENING_FILE) as stored:
         seen = {

@@ -18,13 +18,14 @@ import toile.cli  # noqa: F401  # isort: skip  # first, because it sets the numb
 
 import numpy as np
 import pandas as pd
-from calibrate_diagnosis import evidence_of, measured
 
 from toile.atomic_file import write_text
 from toile.cli.diagnose import diagnose_scene
+from toile.diagnosis.calibration import evidence_from, measured
 from toile.diagnosis.decision import UNKNOWN, Calibration, probabilities
 from toile.diagnosis.diagnose import SCREENING_FILE, DiagnosisSettings
 from toile.diagnosis.gap_maps import stage_shares
+from toile.diagnosis.made_with import MADE_WITH_FILE, MadeWith
 from toile.diagnosis.verdict import verdict_of
 from toile.evaluation.diagnosis_record import DIAGNOSIS_FILE, GapReport
 
@@ -42,10 +43,16 @@ def decided(run: Path) -> GapReport:
 
     A run is made with the calibration of its day, and runs of labelled scenes have made later ones.
     """
-    report, calibration, evidence = GapReport.read(run / DIAGNOSIS_FILE), Calibration.load(), evidence_of(run)
+    report, calibration, settings = (
+        GapReport.read(run / DIAGNOSIS_FILE),
+        Calibration.load(),
+        DiagnosisSettings(),
+    )
+    table, made_with = measured(run), run / MADE_WITH_FILE
+    evidence = evidence_from(table, settings.weights, settings.usual_cost)
     chances = probabilities(evidence, calibration)
     effects = {name: value for name, value in evidence.items() if name != UNKNOWN}
-    explained = float(measured(run)["left"].iloc[0]) <= DiagnosisSettings().usual_cost
+    explained = float(table["left"].iloc[0]) <= settings.usual_cost
     shrinks = {effect.name: effect.shrink for effect in report.effects if effect.shrink is not None}
     found = [replace(effect, probability=chances[effect.name]) for effect in report.effects]
     return replace(
@@ -55,6 +62,8 @@ def decided(run: Path) -> GapReport:
             report.where, stages=stage_shares(effects, calibration, report.where.stages["numerics"])
         ),
         effects=tuple(sorted(found, key=lambda effect: -effect.probability)),
+        # Runs of before do not say what they were made with.
+        calibration=calibration.use(MadeWith.read(made_with) if made_with.is_file() else None),
     )
 
 

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
+import logging
 import shutil
 from pathlib import Path
 
 import cv2
 import numpy as np
+import pytest
+import yaml
 
 from toile.cli.diagnose import diagnose_scene
-from toile.diagnosis.diagnose import SCREENING_FILE, TRACKED_FILE
+from toile.cli.main import main
+from toile.diagnosis.diagnose import HELD_OUT_FILE, SCREENING_FILE, TRACKED_FILE
+from toile.diagnosis.stage_store import StageStore
+from toile.diagnosis.stage_times import TIMES_FILE, read_times
+from toile.diagnosis.stages import FILES
 from toile.evaluation.diagnosis_record import DIAGNOSIS_FILE, GapReport
 
 SCENE = (
@@ -33,19 +41,38 @@ SMALL = (
 )
 
 
-def test_diagnose(toile) -> None:
-    assert toile("generate", *SCENE).status == 0
-    status, out, _ = toile("diagnose", "scene=clip", *SMALL, "hydra.run.dir=run")
-    assert status == 0
-    report = GapReport.read(Path("run") / DIAGNOSIS_FILE)
-    assert report.verdict.reason.split(".")[0] in " ".join(out.split())
+@pytest.fixture(scope="module")
+def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A scene without any effect."""
+    folder = tmp_path_factory.mktemp("made")
+    with contextlib.chdir(folder):
+        assert main(("generate", *SCENE, "folder=clip")) == 0
+    return folder / "clip"
+
+
+@pytest.fixture(scope="module")
+def answered(clip: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Its diagnosis, in one go."""
+    folder = tmp_path_factory.mktemp("answered")
+    diagnose_scene(clip, folder, SMALL)
+    return folder
+
+
+@pytest.fixture
+def data(clip: Path, tmp_path: Path) -> Path:
+    """The scene in the data folder."""
+    return shutil.copytree(clip, tmp_path / "data" / "clip")
+
+
+def test_diagnose(answered: Path) -> None:
+    report = GapReport.read(answered / DIAGNOSIS_FILE)
     assert report.protocol.frames_used == tuple(range(9))
     assert report.protocol.frames_held_out == (9, 10, 11)
     assert {effect.name for effect in report.effects} >= {"air_drag", "focal_error", "shading", "mask_bias"}
     total = sum(effect.probability for effect in report.effects)
     assert 0 <= total <= 1
     assert report.where.vertices is not None
-    gap = np.load(Path("run") / report.where.vertices)
+    gap = np.load(answered / report.where.vertices)
     assert gap.shape == (8, 8)
     assert np.isfinite(gap).all()
     matrix = np.array(report.alias.matrix)
@@ -53,41 +80,202 @@ def test_diagnose(toile) -> None:
     np.testing.assert_allclose(np.diag(matrix), 1)
 
 
-def test_the_same_again_and_without_tracking_again(toile) -> None:
-    """What was tracked is used again, and however many share the work, all digits are the same."""
-    assert toile("generate", *SCENE).status == 0
-    scene = next(Path("data").rglob("scene.json")).parent
+def test_what_is_there_is_named_and_what_is_not_is_not(clip: Path, answered: Path, tmp_path: Path) -> None:
+    """Masks that are four pixels too large; the same clip with its own masks has nothing of the kind."""
+    grown = shutil.copytree(clip, tmp_path / "grown")
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (9, 9))
+    for path in (grown / "masks").iterdir():
+        mask = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        assert mask is not None
+        assert cv2.imwrite(str(path), cv2.dilate(mask, disc))
+    diagnose_scene(grown, tmp_path / "run", SMALL)
+    report = GapReport.read(tmp_path / "run" / DIAGNOSIS_FILE)
+    assert report.verdict.effect == "mask_bias"
+    assert report.verdict.stage == "observation"
+    assert report.verdict.probability > 0.9
+    found = report.effect("mask_bias")
+    assert found is not None
+    growth = found.parameters["growth"]
+    assert growth.unit == "px"
+    assert growth.estimate == pytest.approx(4.0, abs=0.5)
+    null = GapReport.read(answered / DIAGNOSIS_FILE)
+    assert null.verdict.effect in ("none", "ambiguous")
+    assert null.verdict.candidates[0] == "none"
+    for name in ("mask_bias", "focal_error", "lens_distortion", "shading"):
+        effect = null.effect(name)
+        assert effect is not None
+        assert effect.probability < 0.02
+        assert name not in null.verdict.candidates
+
+
+class Interruption:
+    """Ctrl-C as soon as a stage has been stored; ``stages`` are those, in their order."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.stages: list[str] = []
+        write = StageStore._write
+
+        def interrupted(store: StageStore, path: Path, *arguments: object) -> None:
+            write(store, path, *arguments)  # type: ignore[arg-type]
+            self.stages.append(str(path.name))
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(StageStore, "_write", interrupted)
+
+
+def test_stopped_after_every_stage_it_ends_with_the_same_bytes(
+    toile, data: Path, answered: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = Path("run")
+    with monkeypatch.context() as patch:
+        stopped = Interruption(patch)
+        outcome = toile("diagnose", "scene=clip", *SMALL, "workers=1", "hydra.run.dir=run")
+        while outcome.status == 130:
+            assert "toile diagnose resume=" in outcome.out
+            assert not (run / DIAGNOSIS_FILE).exists()
+            if len(stopped.stages) == 1:
+                overrides = (run / ".hydra" / "overrides.yaml").read_bytes()
+                check_other_settings_are_refused(toile, run)
+            outcome = toile("diagnose", "resume=run")
+    assert outcome.status == 0
+    assert stopped.stages == [Path(file).name for file in FILES.values()]
+    assert (run / DIAGNOSIS_FILE).read_bytes() == (answered / DIAGNOSIS_FILE).read_bytes()
+    for name in (SCREENING_FILE, HELD_OUT_FILE):
+        with np.load(run / name) as pieces, np.load(answered / name) as whole:
+            assert set(pieces) == set(whole)
+            for key in whole:
+                np.testing.assert_array_equal(pieces[key], whole[key])
+    for name in ("gap_vertices.npy", "gap_frames_vertices.npy"):
+        assert (run / name).read_bytes() == (answered / name).read_bytes()
+    # What stages took is not forgotten on the way.
+    times = read_times(run / TIMES_FILE)
+    assert list(times) == list(FILES)
+    assert all(taken.cached and taken.wall is not None for taken in times.values())
+    report = GapReport.read(run / DIAGNOSIS_FILE)
+    assert report.verdict.reason.split(".")[0] in " ".join(outcome.out.split())
+    check_it_is_not_run_again(toile, run, outcome.out)
+    assert (run / ".hydra" / "overrides.yaml").read_bytes() == overrides
+
+
+def check_other_settings_are_refused(toile, run: Path) -> None:
+    """And those of the run stay what they were."""
+    before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file() and path.suffix != ".log"}
+    for arguments in (
+        ("resume=run", "seed=3"),
+        ("scene=clip", *SMALL, "diagnosis.stiffness=[1,1,1]", "hydra.run.dir=run"),
+    ):
+        outcome = toile("diagnose", *arguments)
+        assert outcome.status == 2
+        assert "other settings" in outcome.err
+    assert "diagnosis.stiffness" in outcome.err
+    for path, content in before.items():
+        assert path.read_bytes() == content
+
+
+def check_it_is_not_run_again(toile, run: Path, said: str) -> None:
+    """A finished diagnosis says once more what it has found."""
+    page = (run / "index.html").stat().st_mtime_ns
+    # The number of workers has no say in the answer.
+    outcome = toile("diagnose", "resume=run", "workers=2")
+    assert outcome.status == 0
+    assert "finished before" in outcome.out
+    assert said.strip() in outcome.out
+    assert (run / "index.html").stat().st_mtime_ns == page
+    assert toile("diagnose", "resume=run", "seed=3").status == 2
+
+
+def test_however_many_share_the_work_all_digits_are_the_same(clip: Path, tmp_path: Path) -> None:
     several = ("diagnosis.refitted=[3,2]", *SMALL)
-    diagnose_scene(scene, Path("first"), several)
-    diagnose_scene(scene, Path("second"), (*several, "workers=2"))
-    first = (Path("first") / DIAGNOSIS_FILE).read_bytes()
-    assert (Path("second") / DIAGNOSIS_FILE).read_bytes() == first
-    with np.load(Path("first") / SCREENING_FILE) as alone, np.load(Path("second") / SCREENING_FILE) as shared:
+    diagnose_scene(clip, tmp_path / "first", several)
+    diagnose_scene(clip, tmp_path / "second", (*several, "workers=2"))
+    first, second = tmp_path / "first", tmp_path / "second"
+    assert (second / DIAGNOSIS_FILE).read_bytes() == (first / DIAGNOSIS_FILE).read_bytes()
+    with np.load(first / SCREENING_FILE) as alone, np.load(second / SCREENING_FILE) as shared:
         for name in alone:
             np.testing.assert_array_equal(alone[name], shared[name])
-    (Path("first") / DIAGNOSIS_FILE).unlink()
-    diagnose_scene(scene, Path("first"), several)
-    assert (Path("first") / DIAGNOSIS_FILE).read_bytes() == first
 
 
-def test_a_recipe_that_does_not_track_is_refused(toile) -> None:
-    assert toile("generate", *SCENE).status == 0
-    status, _, err = toile("diagnose", "scene=clip", *SMALL[:1], "optimization=adam", "loss=none")
-    assert status == 2
-    assert "optimization=tracking" in err
+def again(caplog: pytest.LogCaptureFixture) -> dict[str, str]:
+    """Stages that were computed again, and why; the log starts anew."""
+    said = [message.split(": computed again, ") for message in caplog.messages if "again" in message]
+    caplog.clear()
+    return {name: why.partition(" was made from other ")[2] for name, why in said}
 
 
-def test_no_workers_are_refused(toile) -> None:
-    assert toile("generate", *SCENE).status == 0
-    status, _, err = toile("diagnose", "scene=clip", *SMALL, "workers=0")
-    assert status == 2
-    assert "workers" in err
+def test_what_was_made_from_something_else_is_made_again(
+    clip: Path, answered: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Late settings leave early stages alone; another scene leaves none."""
+    caplog.set_level(logging.INFO, "toile.diagnosis.stage_store")
+    run = shutil.copytree(answered, tmp_path / "run")
+    diagnose_scene(clip, run, SMALL)
+    assert again(caplog) == {}
+    diagnose_scene(clip, run, (*SMALL, "diagnosis.placebos=3"))
+    assert again(caplog) == {"held-out frames": "settings.placebos", "maps": "settings.placebos"}
+    # Lighter pictures: other data under the same name, and nothing of the old answer is left.
+    other = shutil.copytree(clip, tmp_path / "clip")
+    for path in (other / "rgbs").iterdir():
+        picture = cv2.imread(str(path))
+        assert picture is not None
+        assert cv2.imwrite(str(path), (0.8 * picture).astype(np.uint8))
+    diagnose_scene(other, run, (*SMALL, "diagnosis.placebos=3"))
+    reasons = again(caplog)
+    assert list(reasons) == list(FILES)
+    assert all(reason.startswith("scene") for reason in reasons.values())
+    diagnose_scene(other, tmp_path / "fresh", (*SMALL, "diagnosis.placebos=3"))
+    assert (run / DIAGNOSIS_FILE).read_bytes() == (tmp_path / "fresh" / DIAGNOSIS_FILE).read_bytes()
 
 
-def test_held_out_images_have_no_part_in_the_fitted_frames(toile) -> None:
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("scene.n_frames=7",), ("too short", "8 frames or more", "7 frames")),
+        (("diagnosis.held_out=0.5", "scene.n_frames=10"), ("too short", "12 frames or more")),
+        (("optimization=adam", "loss=none"), ("optimization=track",)),
+        (("optimization=tracking",), ("one stage", "calibrate, track")),
+        (("optimization=identification",), ("one stage", "match, polish")),
+        (("loss=paper",), ("loss=none",)),
+        (("simulator=surrogate",), ("simulator=implicit", "SurrogateSimulator")),
+        (("simulator/integrator=backward_euler",), ("integrator=bdf2", "BackwardEuler")),
+        (("parameters.stretching=5",), ("parameters.stretching",)),
+        (("+parameters.stretching=5",), ("diagnosis.stiffness",)),
+        (("+effect=air_drag",), ("effect@candidates",)),
+        (("candidates.air_drag.values.linear=0.5",), ("candidates.air_drag.values", "linear: 0.5")),
+        (("candidates=null",), ("nothing to choose from",)),
+        (("workers=0",), ("workers",)),
+    ],
+    ids=lambda value: value[0] if isinstance(value, tuple) else None,
+)
+def test_what_would_be_passed_over_is_refused(
+    toile, data: Path, arguments: tuple[str, ...], said: tuple[str, ...]
+) -> None:
+    """By one message, before anything is computed, and without settings left in the folder."""
+    outcome = toile("diagnose", "scene=clip", "diagnosis=quick", *arguments, "hydra.run.dir=run")
+    assert outcome.status == 2
+    assert outcome.err.count("error:") == 1
+    for text in said:
+        assert text in outcome.err
+    left = [path.name for path in Path("run").rglob("*") if path.is_file()] if Path("run").is_dir() else []
+    assert left == []
+
+
+def test_nothing_to_resume(toile) -> None:
+    outcome = toile("diagnose", "resume=nowhere")
+    assert outcome.status == 2
+    assert "no diagnosis to continue" in outcome.err
+
+
+def test_overrides_are_noted_as_they_were_given(toile, data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    Interruption(monkeypatch)
+    given = (*SMALL, "diagnosis.usual_cost=12.5", "scene.gravity=[0,9.8,0]")
+    assert toile("diagnose", "scene=data/clip", *given, "hydra.run.dir='a run'").status == 130
+    noted = yaml.safe_load(Path("a run/.hydra/overrides.yaml").read_text())
+    assert noted[-len(given) :] == list(given)
+    assert toile("diagnose", "resume=a run").status == 130
+
+
+def test_held_out_images_have_no_part_in_the_fitted_frames(clip: Path, tmp_path: Path) -> None:
     """Neither by the coarse pass of tracking nor by the fine one."""
-    assert toile("generate", *SCENE).status == 0
-    scene = next(Path("data").rglob("scene.json")).parent
     coarse = [
         f"+diagnosis.coarse.{item}"
         for item in (
@@ -97,31 +285,29 @@ def test_held_out_images_have_no_part_in_the_fitted_frames(toile) -> None:
             "cg_iterations=10",
         )
     ]
-    spoilt = Path("spoilt")
-    shutil.copytree(scene, spoilt)
+    spoilt = shutil.copytree(clip, tmp_path / "spoilt")
     for path in sorted((spoilt / "rgbs").iterdir())[9:]:
         picture = cv2.imread(str(path))
         assert cv2.imwrite(str(path), np.ascontiguousarray(picture[::-1, ::-1]))
     positions = []
-    for folder in (scene, spoilt):
-        diagnose_scene(folder, Path("run") / folder.name, (*SMALL, *coarse))
-        with np.load(Path("run") / folder.name / TRACKED_FILE) as tracked:
+    for folder in (clip, spoilt):
+        run = tmp_path / "run" / folder.name
+        diagnose_scene(folder, run, (*SMALL, *coarse))
+        with np.load(run / TRACKED_FILE) as tracked:
             positions.append(tracked["positions"])
     assert np.abs(positions[0][9:] - positions[1][9:]).max() > 1e-3
     np.testing.assert_array_equal(positions[0][:9], positions[1][:9])
 
 
-def test_frames_after_tracking_has_lost_the_cloth_do_not_count(toile) -> None:
-    assert toile("generate", *SCENE).status == 0
-    scene = next(Path("data").rglob("scene.json")).parent
-    run = Path("run")
-    diagnose_scene(scene, run, SMALL)
-    assert GapReport.read(run / DIAGNOSIS_FILE).protocol.frames_used == tuple(range(9))
+def test_frames_after_tracking_has_lost_the_cloth_do_not_count(
+    clip: Path, answered: Path, tmp_path: Path
+) -> None:
+    run = shutil.copytree(answered, tmp_path / "run")
     with np.load(run / TRACKED_FILE) as stored:
         tracked = dict(stored)
     tracked["positions"][7:] += [0.2, 0.0, 0.0]
     np.savez_compressed(run / TRACKED_FILE, **tracked)
-    diagnose_scene(scene, run, SMALL)
+    diagnose_scene(clip, run, SMALL)
     report = GapReport.read(run / DIAGNOSIS_FILE)
     assert report.protocol.frames_used == tuple(range(7))
     assert "loses the cloth in frame 7" in report.verdict.reason

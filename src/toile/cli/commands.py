@@ -58,6 +58,12 @@ COMMANDS = {
         "say why the simulation differs from the video: which effect is missing, and how far it helps",
         "scene=R1 diagnosis=quick",
     ),
+    "calibrate": Command(
+        "toile.cli.calibrate",
+        "make probabilities of the diagnosis from scenes whose effect is known",
+        "<run folder> ... labels=<file> source=<what they are>",
+        plain="runs",
+    ),
     "blind": Command(
         "toile.cli.blind",
         "check the diagnosis on scenes whose labels it cannot read",

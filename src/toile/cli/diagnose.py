@@ -2,51 +2,91 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
+from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from toile.cli.alone import alone
 from toile.cli.configuration import CONF, instantiate, output_folder, register_resolvers, resolved_yaml
-from toile.cli.fit import build_reconstruction
+from toile.cli.fit import build_reconstruction, check_losses_are_used
+from toile.cli.made_with import made_with_of
+from toile.cli.resume import check_settings_as_before
+from toile.cli.scene_warnings import scene_warnings
+from toile.cli.settings import check_settings
 from toile.cli.terminal import print_path
-from toile.diagnosis.diagnose import diagnose
+from toile.diagnosis.diagnose import DiagnosisSettings, check_problem, diagnose
+from toile.diagnosis.made_with import MadeWith
 from toile.diagnosis.workers import Workers
+from toile.effects.base import Effect
 from toile.errors import InputError
 from toile.evaluation.diagnosis_record import DIAGNOSIS_FILE, GapReport
 from toile.fitting.gauss_newton.recipe import TrackingRecipe
+from toile.fitting.parameters import ClothParameters
+from toile.fitting.reconstruction import Reconstruction
 from toile.reports.diagnosis_arrays import DiagnosisArrays
 from toile.reports.diagnosis_dashboard import write_diagnosis_dashboard
+from toile.reports.diagnosis_wording import mark
 from toile.reports.page.diagnosis_page import write_diagnosis_page
-from toile.reports.run_folder import create_run_folder, write_config, write_git_revision
+from toile.reports.run_folder import (
+    RunFolder,
+    create_run_folder,
+    write_config,
+    write_git_revision,
+    write_overrides,
+)
 from toile.scenes.scene import Scene
 
 
 @alone
 def run(cfg: DictConfig) -> None:
-    """Diagnose, write diagnosis.json, and say the verdict; an interrupted diagnosis keeps its tracking."""
+    """Diagnose, write diagnosis.json, and say the verdict; an interrupted diagnosis can be continued."""
     folder = create_run_folder(output_folder())
-    write_config(folder, resolved_yaml(cfg))
-    write_git_revision(folder)
+    config = resolved_yaml(cfg)
+    if folder.config.is_file():
+        check_settings_as_before(folder, config)
+    answer = folder.path / DIAGNOSIS_FILE
+    # The page is the last thing a diagnosis writes.
+    if answer.is_file() and folder.page.is_file():
+        print_path(folder.path, ": finished before with the same settings")
+        _say(folder, GapReport.read(answer))
+        return
     with Progress(
         TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), console=Console(stderr=True)
     ) as bar:
         task = bar.add_task("loading", total=1.0)
-        scene, report = _diagnose(
-            cfg, folder.path, lambda what, share: bar.update(task, description=what, completed=share)
-        )
+        problem = _problem(cfg)
+        # What is refused leaves no settings behind that another try would have to agree with.
+        write_config(folder, config)
+        write_overrides(folder, HydraConfig.get().overrides.task)
+        write_git_revision(folder)
+        try:
+            report = problem.diagnosed(
+                folder.path, lambda what, share: bar.update(task, description=what, completed=share)
+            )
+        except KeyboardInterrupt:
+            print_path(f"toile diagnose resume={folder.path}", " continues")
+            raise
         bar.update(task, description="done", completed=1.0)
     arrays = DiagnosisArrays.read(folder.path, report)
-    write_diagnosis_page(folder.page, report, arrays, scene)
     write_diagnosis_dashboard(folder.path / "tensorboard", report, arrays)
+    write_diagnosis_page(folder.page, report, arrays, problem.reconstruction.scene)
+    _say(folder, report)
+
+
+def _say(folder: RunFolder, report: GapReport) -> None:
+    """The verdict, and where all of it is."""
     verdict = report.verdict
     name = verdict.effect if verdict.also is None else f"{verdict.effect} and {verdict.also}"
-    print_path(f"{name} (probability {verdict.probability:.2f}): {verdict.reason}")
+    print_path(f"{name} (probability {verdict.probability:.2f}{mark(report)}): {verdict.reason}")
     if verdict.next_recording:
         print_path(f"next recording: {verdict.next_recording}")
     print_path(folder.path / DIAGNOSIS_FILE)
@@ -71,33 +111,98 @@ def diagnose_scene(scene_folder: Path, output_folder: Path, settings: Any) -> No
     else:
         with initialize_config_dir(str(CONF), version_base=None):
             cfg = compose("diagnose", overrides)
+    check_settings(cfg)
     output_folder.mkdir(parents=True, exist_ok=True)
-    _diagnose(cfg, output_folder, lambda what, share: None)
+    _problem(cfg).diagnosed(output_folder, lambda what, share: None)
 
 
-def _diagnose(cfg: DictConfig, folder: Path, progress: Any) -> tuple[Scene, GapReport]:
+def check_settings_are_used(cfg: DictConfig) -> None:
+    """Refuse settings that a diagnosis would pass over.
+
+    Raises:
+        InputError: a fit's start values or effects, losses, another optimisation than one stage of tracking,
+            or no workers.
+    """
+    elsewhere = {
+        "parameters": "diagnosis.stiffness=[Y in N/m, S per cell area in N/m, B in N·m]",
+        "effect": "candidates by effect@candidates=[...]; the motion is tracked with free forces alone",
+        "fixed_effects": "candidates by effect@candidates=[...]; none is fixed",
+    }
+    for key, expected in elsewhere.items():
+        if key in cfg:
+            raise InputError(
+                "A diagnosis has no such setting",
+                where=key,
+                expected=expected,
+                got=f"{key}: {cfg[key]}"[:100],
+            )
     target = str(cfg.optimization.get("_target_"))
     if target.rpartition(".")[2] != TrackingRecipe.__name__:
         raise InputError(
             "A diagnosis tracks the motion first",
             where="optimization",
-            expected="optimization=tracking",
+            expected="optimization=track",
             got=target,
         )
-    scene: Scene = instantiate(cfg.scene)
-    recipe = instantiate(cfg.optimization)
-    effects = list(instantiate(cfg.candidates).values())
-    settings = instantiate(cfg.diagnosis)
-    if int(cfg.workers) == 0:
+    stages = [name for name, stage in cfg.optimization.stages.items() if stage is not None]
+    if len(stages) != 1:
         raise InputError(
-            "Nobody would work",
-            where="workers",
-            expected="a number of processes; -1 for one per core",
-            got="0",
+            "A diagnosis tracks the motion in one stage",
+            where="optimization.stages",
+            expected="one of them, as optimization=track has",
+            got=", ".join(map(str, stages)) or "none",
         )
-    with Workers(int(cfg.workers)) as workers:
-        report = diagnose(
-            build_reconstruction(cfg, scene), recipe, effects, settings, folder, progress, workers
-        )
-    report.write(folder / DIAGNOSIS_FILE)
-    return scene, report
+    check_losses_are_used(cfg)
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """What a configuration asks for, built and checked.
+
+    Attributes:
+        reconstruction, recipe, effects, settings: see toile.diagnosis.diagnose.diagnose.
+        workers: processes.
+        made_with: settings that the evidence depends on.
+        warnings: what is remarkable about the scene.
+    """
+
+    reconstruction: Reconstruction
+    recipe: TrackingRecipe
+    effects: tuple[Effect, ...]
+    settings: DiagnosisSettings
+    workers: int
+    made_with: MadeWith
+    warnings: tuple[str, ...]
+
+    def diagnosed(self, folder: Path, progress: Callable[[str, float], None]) -> GapReport:
+        """The answer, in ``diagnosis.json`` as well."""
+        with Workers(self.workers) as workers:
+            report = diagnose(
+                self.reconstruction,
+                self.recipe,
+                self.effects,
+                self.settings,
+                folder,
+                progress,
+                workers,
+                self.made_with,
+            )
+        report = replace(report, warnings=self.warnings)
+        report.write(folder / DIAGNOSIS_FILE)
+        return report
+
+
+def _problem(cfg: DictConfig) -> _Problem:
+    check_settings_are_used(cfg)
+    scene: Scene = instantiate(cfg.scene)
+    warnings = scene_warnings(scene, force=cfg.force)
+    recipe = instantiate(cfg.optimization)
+    effects = tuple((instantiate(cfg.candidates) or {}).values())
+    settings = instantiate(cfg.diagnosis)
+    # The stiffness is that of the settings, in SI units: the diagnosis puts it in.
+    make_parameters = partial(ClothParameters, stretching=1.0, shearing=1.0, bending=1.0)
+    reconstruction = build_reconstruction(cfg, scene, make_parameters)
+    check_problem(reconstruction, effects, settings)
+    return _Problem(
+        reconstruction, recipe, effects, settings, int(cfg.workers), made_with_of(cfg), tuple(warnings)
+    )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import time
+from collections.abc import Callable
 
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
@@ -26,6 +27,7 @@ from toile.cli.terminal import print_evaluation, print_path
 from toile.errors import InputError
 from toile.evaluation.evaluate import EvaluationResult, evaluate
 from toile.fitting.effects import FitEffects
+from toile.fitting.parameters import ClothParameters
 from toile.fitting.quiet import quiet_lightning
 from toile.fitting.reconstruction import Reconstruction
 from toile.fitting.scene_cloth import scene_units
@@ -151,10 +153,12 @@ def check_losses_are_used(cfg: DictConfig) -> None:
         )
 
 
-def build_reconstruction(cfg: DictConfig, scene: Scene) -> Reconstruction:
-    """The problem that the configuration describes for a scene."""
+def build_reconstruction(
+    cfg: DictConfig, scene: Scene, make_parameters: Callable[..., ClothParameters] | None = None
+) -> Reconstruction:
+    """The problem that the configuration describes for a scene; None takes its ``parameters``."""
     cloth = instantiate(cfg.cloth)(scene)
-    parameters = instantiate(cfg.parameters)(
+    parameters = (make_parameters or instantiate(cfg.parameters))(
         scene.n_frames, cloth.n_vertices, len(cloth.held), scene_units(scene, cfg.cloth.areal_density)
     )
     make_simulator = instantiate(cfg.simulator.build)

@@ -17,7 +17,7 @@ from toile.cli.streams import accept_any_text
 from toile.cli.threads import disk_failures_of_threads
 
 USAGE_ERROR = 2
-RESUMABLE = {"fit": "fit", "train": "training"}
+RESUMABLE = {"fit": "fit", "train": "training", "diagnose": "diagnosis"}
 """Commands that take ``resume=<run folder>``, and what such a folder holds."""
 
 

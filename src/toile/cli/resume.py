@@ -1,4 +1,4 @@
-"""Continuing an interrupted fit or training."""
+"""Continuing an interrupted fit, training or diagnosis."""
 
 from __future__ import annotations
 
@@ -16,7 +16,10 @@ from toile.reports.run_settings import WITHOUT_INFLUENCE, read_settings
 
 _KEY = "resume"
 # Settings that may differ between the two halves of a run: they leave the result alone.
-_FREE = (*WITHOUT_INFLUENCE, "max_minutes")
+_FREE = (*WITHOUT_INFLUENCE, "max_minutes", "workers")
+_CHECKPOINT = f"checkpoints/{LAST}"
+# What there is to continue from; the results of a diagnosis' stages are looked for one by one.
+_BEGUN = {"diagnosis": "config.yaml"}
 
 
 def resume_arguments(arguments: Sequence[str], what: str) -> list[str]:
@@ -26,7 +29,7 @@ def resume_arguments(arguments: Sequence[str], what: str) -> list[str]:
 
     Args:
         arguments: of the command line.
-        what: "fit" or "training", for messages.
+        what: "fit", "training" or "diagnosis".
 
     Raises:
         InputError: the folder holds no run, or nothing to continue from.
@@ -35,12 +38,12 @@ def resume_arguments(arguments: Sequence[str], what: str) -> list[str]:
     if not folders:
         return list(arguments)
     folder = folders[-1]
-    record = _record(folder)
-    if record is None or not checkpoint_path(RunFolder(folder)).is_file():
+    record, begun = _record(folder), _BEGUN.get(what, _CHECKPOINT)
+    if record is None or not (folder / begun).is_file():
         raise InputError(
             f"There is no {what} to continue",
             where=str(folder),
-            expected=f"a run folder with overrides.yaml and checkpoints/{LAST}",
+            expected=f"a run folder with overrides.yaml and {begun}",
             got="no such folder" if not folder.is_dir() else "a folder without one of them",
         )
     before = _overrides(record)
@@ -74,7 +77,7 @@ def _overrides(record: Path) -> list[str]:
 
 def checkpoint_path(folder: RunFolder) -> Path:
     """Where the last checkpoint of a run is, if it has one."""
-    return folder.path / "checkpoints" / LAST
+    return folder.path / _CHECKPOINT
 
 
 def is_finished(folder: RunFolder, config: str) -> bool:
@@ -90,7 +93,7 @@ def is_finished(folder: RunFolder, config: str) -> bool:
     # The page is the last thing a fit writes.
     if not (folder.config.is_file() and folder.metrics.is_file() and folder.page.is_file()):
         return False
-    _check_settings(folder, config)
+    check_settings_as_before(folder, config)
     return True
 
 
@@ -107,11 +110,20 @@ def last_checkpoint(folder: RunFolder, config: str) -> Path | None:
     path = checkpoint_path(folder)
     if not path.is_file():
         return None
-    _check_settings(folder, config)
+    check_settings_as_before(folder, config)
     return path
 
 
-def _check_settings(folder: RunFolder, config: str) -> None:
+def check_settings_as_before(folder: RunFolder, config: str) -> None:
+    """Refuse to go on in a folder with other settings than its own.
+
+    Args:
+        folder: of a run.
+        config: resolved configuration of this run, YAML text.
+
+    Raises:
+        InputError: a setting that the result follows from is another one.
+    """
     before = _binding(read_settings(read_config(folder), str(folder.config)))
     now = _binding(yaml.safe_load(config))
     changed = sorted(key for key in before.keys() | now.keys() if before.get(key) != now.get(key))

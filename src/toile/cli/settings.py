@@ -62,6 +62,8 @@ COMMAND_SETTINGS: Mapping[str, Any] = {
     "blender": bool,
     "alias": Fraction,
     "bootstrap": Count,
+    "left_out": bool,
+    "exact_steps": bool,
 }
 """Settings that a command reads itself, by their place in its configuration."""
 

@@ -12,7 +12,6 @@ from scipy.linalg import cho_solve
 
 from toile.cloth.state import State
 from toile.diagnosis.continuity import Discrepancy, Link, WindowSystem
-from toile.diagnosis.damping import TRIED, less, more
 from toile.diagnosis.evidence import Evidence
 from toile.diagnosis.positive import positive_factor
 from toile.diagnosis.sensitivities import StepForces
@@ -153,12 +152,13 @@ def improved(
         passes: at most, None for those of the settings.
         workers: share the windows.
     """
-    deviation = base_deviations(shooting)
+    s, deviation = shooting.settings, base_deviations(shooting)
+    longest = np.array([s.longest_stiffness] * 3 + [np.inf] * 2)
     cost = shooting.clip_cost(windows)
     history = [cost]
     damping = 0.0
     little: list[bool] = []
-    for _ in range(shooting.settings.passes if passes is None else passes):
+    for _ in range(s.passes if passes is None else passes):
         base = base_of(stiffness, values)
         columns = base_columns(shooting, base)
         systems = window_systems(
@@ -166,25 +166,25 @@ def improved(
         )
         evidence = Evidence(systems, values, deviation)
         before = cost + 0.5 * float(((values / deviation) ** 2).sum())
-        for _ in range(TRIED):
+        for _ in range(s.damping.tried):
             # All together: shared unknowns that hold back while local ones go all the way may get stuck.
-            trial, _, changes = evidence.towards((), fitted_discrepancy(shooting), damping, _LONGEST)
+            trial, _, changes = evidence.towards((), fitted_discrepancy(shooting), damping, longest)
             moved = changed_windows(shooting, windows, changes, base_of(stiffness, trial), workers=workers)
             trial_cost = shooting.clip_cost(moved)
             after = trial_cost + 0.5 * float(((trial / deviation) ** 2).sum())
             if after < before and all(w.converged for w in moved):
                 break
-            damping = more(damping)
+            damping = s.damping.more(damping)
         else:
             break
         windows, values, cost = moved, trial, trial_cost
         history.append(cost)
         report("base", cost)
         # One short step is no sign of having arrived, two are.
-        little.append(before - after < _STALLED * abs(before) + _NOTHING)
+        little.append(before - after < s.stalled * abs(before) + s.nothing)
         if little[-1] and (damping == 0 or all(little[-2:])):
             break
-        damping = less(damping)
+        damping = s.damping.less(damping)
     return BaseFit(windows, stiffness, values, cost, tuple(history))
 
 
@@ -284,12 +284,12 @@ def _sweep(
     report: Callable[[str, float], None],
 ) -> tuple[list[WindowMotion], Array]:
     """One window after the other, each from where the one before has ended; what is learnt is passed on."""
-    state = _at_rest(shooting, start_positions)
+    s, state = shooting.settings, _at_rest(shooting, start_positions)
     deviation = base_deviations(shooting)
     precision = np.diag(deviation**-2)
     mean = np.zeros(N_BASE)
     windows: list[WindowMotion] = []
-    for index, (first, last) in enumerate(window_bounds(n_frames, shooting.settings.window)):
+    for index, (first, last) in enumerate(window_bounds(n_frames, s.window)):
         n = last - first
         scales = local_scales(shooting, n)
         white = before[index].white.copy() if before else np.zeros(shooting.layout(n)[2])
@@ -305,7 +305,7 @@ def _sweep(
 
         cost = total(window, values)
         information = np.zeros_like(prior)
-        for _ in range(shooting.settings.iterations):
+        for _ in range(s.iterations):
             base = base_of(stiffness, values)
             G, g, _ = shooting.normal(window, base, base_columns(shooting, base), nothing_seen, N_BASE)
             L = np.concatenate((np.ones(N_BASE), scales))
@@ -318,8 +318,8 @@ def _sweep(
             H[:N_BASE, :N_BASE] += prior
             right[:N_BASE] -= prior @ (values - about)
             step = cho_solve(positive_factor(H), right)
-            length = min(1.0, 0.7 / max(float(np.abs(step[:3]).max()), 1e-9))
-            for _ in range(5):
+            length = min(1.0, s.longest_stiffness / max(float(np.abs(step[:3]).max()), 1e-9))
+            for _ in range(s.window_steps):
                 trial_values = values + length * step[:N_BASE]
                 trial = shooting.simulate(
                     window, window.white + length * step[N_BASE:], base_of(stiffness, trial_values)
@@ -327,10 +327,10 @@ def _sweep(
                 trial_cost = total(trial, trial_values)
                 if trial.converged and trial_cost < cost:
                     break
-                length *= 0.35
+                length *= s.window_shorter
             else:
                 break
-            small = cost - trial_cost < _STALLED_WINDOW * abs(cost)
+            small = cost - trial_cost < s.window_stalled * abs(cost)
             window, values, cost = trial, trial_values, trial_cost
             if small:
                 break
@@ -341,11 +341,3 @@ def _sweep(
         assert window.end is not None
         state = window.end
     return windows, values
-
-
-# A pass that lowers the cost by less than this fraction and this log probability is the last one.
-_STALLED = 0.002
-_NOTHING = 0.5
-_STALLED_WINDOW = 0.05
-# Logarithms of stiffness change by at most a factor of two at once.
-_LONGEST = np.array([0.7, 0.7, 0.7, np.inf, np.inf])

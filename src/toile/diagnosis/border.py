@@ -10,32 +10,52 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from pydantic import Field
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from toile.diagnosis.effect_columns import derivatives
 from toile.effects.base import CameraEffect, Effect, MaskEffect
+from toile.limits import Count, NonNegative, Positive, Unit
 from toile.scenes.scene import Scene
 
 Array = NDArray[np.float64]
 
-# An edge drawn in whole pixels: deviations that a distance to it may have, near and far from it [px].
-_RASTER = (0.2, 0.27, 0.37, 0.5)
-# How far a normal is followed to both sides of the nearest edge: at least [px], and times its distance.
-_LEAST_REACH = 3.0
-_REACH = 2.5
-_STEPS = 100
-# Border points closer than this share their error [px].
-_CORRELATION = 12.0
-# Ragged masks, and templates that do not quite fit: deviations beyond those [px].
-_RAGGED = (0.75, 1.1, 1.6, 2.4, 3.5, 5.0)
-# A wrong mask is often ragged; a wrong camera leaves a smooth outline smooth, so there it counts against it.
-_RAGGED_AGAINST_CAMERA = 6.0
-# Effects may be this many times stronger than their prior deviations say.
-_STRENGTHS = (1.0, 3.0, 10.0)
+
+@dataclass(frozen=True)
+class BorderSettings:
+    """How the outline of frame 0 is measured, and which errors of it are usual.
+
+    Attributes:
+        raster: deviations [px] of a distance to an edge that is drawn in whole pixels; the likeliest counts.
+        ragged: further ones [px], of ragged masks and of templates that do not quite fit.
+        ragged_against_camera: log evidence that a wrong camera loses with one of those: a wrong mask is often
+            ragged, but a wrong camera leaves a smooth outline smooth.
+        least_reach: how far a normal is followed to both sides of the nearest edge, at least [px].
+        reach: the same in multiples of the distance to that edge.
+        steps: places along a normal that are looked at.
+        correlation: border points closer than this share their error [px].
+        fewest: independent points that any outline has, however short it is.
+        strengths: by how much stronger than its prior deviations say an effect may be; one is chosen and
+            charged for. Else the next best effect takes up what the prior forbids the right one.
+    """
+
+    raster: Annotated[tuple[Positive, ...], Field(min_length=1), Unit("px")] = (0.2, 0.27, 0.37, 0.5)
+    ragged: Annotated[tuple[Positive, ...], Unit("px")] = (0.75, 1.1, 1.6, 2.4, 3.5, 5.0)
+    ragged_against_camera: NonNegative = 6.0
+    least_reach: Annotated[Positive, Unit("px")] = 3.0
+    reach: Positive = 2.5
+    steps: Count = 100
+    correlation: Annotated[Positive, Unit("px")] = 12.0
+    fewest: Positive = 8.0
+    strengths: Annotated[tuple[Positive, ...], Field(min_length=1)] = (1.0, 3.0, 10.0)
+
+
+DEFAULT = BorderSettings()
 
 
 @dataclass(frozen=True)
@@ -55,7 +75,7 @@ class Border:
     independent: float
 
 
-def border(scene: Scene) -> Border:
+def border(scene: Scene, settings: BorderSettings = DEFAULT) -> Border:
     """Border of the template and its distance to the first mask."""
     pixels = scene.camera.project(scene.template).numpy().astype(np.float64)
     p = pixels
@@ -71,19 +91,20 @@ def border(scene: Scene) -> Border:
     n = np.stack((tangent[:, 1], -tangent[:, 0]), 1)
     n /= np.linalg.norm(n, axis=1, keepdims=True)
     n *= -np.sign((n * np.concatenate(inner)).sum(1, keepdims=True))
-    distances = _beyond(scene.masks[0].numpy() > 0.5, at, n)
+    distances = _beyond(scene.masks[0].numpy() > 0.5, at, n, settings)
     length = float(np.linalg.norm(tangent, axis=1).sum() / 2)
-    return Border(at, n, distances, max(8.0, min(float(len(at)), length / _CORRELATION)))
+    independent = max(settings.fewest, min(float(len(at)), length / settings.correlation))
+    return Border(at, n, distances, independent)
 
 
-def _beyond(mask: NDArray[np.bool_], at: Array, normals: Array) -> Array:
+def _beyond(mask: NDArray[np.bool_], at: Array, normals: Array, settings: BorderSettings) -> Array:
     """How far the mask reaches beyond border points (n,) [px], on the mean over what is ragged."""
     # Distance to the edge between pixels: half a pixel off the centres on both sides of it.
     signed = np.where(mask, distance_transform_edt(mask) - 0.5, 0.5 - distance_transform_edt(~mask))
     nearest = _sample(signed, at)
     # The nearest edge of a ragged mask is nearer than the mean one, which its length along the normal gives.
-    reach = np.maximum(_LEAST_REACH, _REACH * np.abs(nearest))
-    steps = (np.arange(_STEPS) + 0.5) / _STEPS * 2 - 1
+    reach = np.maximum(settings.least_reach, settings.reach * np.abs(nearest))
+    steps = (np.arange(settings.steps) + 0.5) / settings.steps * 2 - 1
     away = nearest + steps[:, None] * reach
     along = at + away[:, :, None] * normals
     inside = _sample(mask.astype(np.float64), along.reshape(-1, 2)).reshape(away.shape)
@@ -132,25 +153,27 @@ class BorderFit:
     covariance: Array
 
 
-def border_evidence(effect: Effect, scene: Scene, at: Border) -> BorderFit:
+def border_evidence(
+    effect: Effect, scene: Scene, at: Border, settings: BorderSettings = DEFAULT
+) -> BorderFit:
     """Evidence of an effect of the camera or the mask from the outline of frame 0."""
     share = at.independent / len(at.distances)
     masked = isinstance(effect, MaskEffect)
-    noises = [(noise, 0.0) for noise in _RASTER]
-    noises += [(noise, 0.0 if masked else _RAGGED_AGAINST_CAMERA) for noise in _RAGGED]
+    noises = [(noise, 0.0) for noise in settings.raster]
+    noises += [(noise, 0.0 if masked else settings.ragged_against_camera) for noise in settings.ragged]
     null = max(_log_likelihood(at.distances, noise, share) for noise, _ in noises)
     columns = border_columns(effect, scene, at)
     if not columns.any():
         return BorderFit(0.0, np.zeros(columns.shape[1]), np.eye(columns.shape[1]))
     best: BorderFit | None = None
-    for strength, (noise, charge) in itertools.product(_STRENGTHS, noises):
+    for strength, (noise, charge) in itertools.product(settings.strengths, noises):
         J = strength * columns
         H = np.eye(J.shape[1]) + share * J.T @ J / noise**2
         covariance = np.linalg.inv(H)
         mean = covariance @ (share * J.T @ at.distances / noise**2)
         left = _log_likelihood(at.distances - J @ mean, noise, share)
         value = left - 0.5 * float(mean @ mean) - 0.5 * float(np.linalg.slogdet(H)[1])
-        value -= charge + math.log(len(_STRENGTHS))
+        value -= charge + math.log(len(settings.strengths))
         if best is None or value - null > best.log_evidence:
             best = BorderFit(value - null, strength * mean, strength**2 * np.asarray(covariance, np.float64))
     assert best is not None

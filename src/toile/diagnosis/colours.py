@@ -6,6 +6,7 @@ Colours are read at the tracked positions, on a lattice that moves with the clot
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import torch
@@ -18,17 +19,42 @@ from toile.fitting.gauss_newton.recipe import visible
 from toile.fitting.reconstruction import Reconstruction
 from toile.fitting.terms.texture_points import grid_points
 from toile.geometry.mesh import grid_faces, vertex_normals
+from toile.limits import Count, Fraction, NonNegative, Positive, Unit
 
 Array = NDArray[np.float64]
 
-_LATTICE = 64
-_PATCH = 8
-# Brightness of a patch is known to this relative deviation, whatever the image.
-_BRIGHTNESS_NOISE = 0.02
-# Frames in a row and patches side by side share their error.
-_SHARED_ERROR = 8.0
-# Reweighting of the frames; it settles within a few.
-_PASSES = 20
+
+@dataclass(frozen=True)
+class ColourSettings:
+    """How brightness on the cloth is read, and how well it is known.
+
+    Attributes:
+        patches: along each side of the cloth; brightness is that of a patch.
+        per_patch: points along each side of a patch at which colours are read.
+        smoothing: σ of the blur before reading [px].
+        inside: share of the cloth within the blur around a point, from which on the point counts.
+        shown: share of a patch that must be seen for the patch to count.
+        noise: deviation of the logarithm of a patch's brightness, whatever the image.
+        shared_error: patches that err as one: frames in a row and patches side by side do.
+        passes: in which the frames are weighted by what is left of them; it settles within a few.
+    """
+
+    patches: Count = 8
+    per_patch: Count = 8
+    smoothing: Annotated[NonNegative, Unit("px")] = 3.0
+    inside: Fraction = 0.9
+    shown: Fraction = 0.5
+    noise: Positive = 0.02
+    shared_error: Positive = 8.0
+    passes: Count = 20
+
+    @property
+    def lattice(self) -> int:
+        """Points along each side of the cloth."""
+        return self.patches * self.per_patch
+
+
+DEFAULT = ColourSettings()
 
 
 @dataclass(frozen=True)
@@ -46,10 +72,10 @@ class Colours:
     normals: Array
 
 
-def colours(reconstruction: Reconstruction, positions: Array) -> Colours:
+def colours(reconstruction: Reconstruction, positions: Array, settings: ColourSettings = DEFAULT) -> Colours:
     """Read the colours at tracked positions of the first frames (F, N, 3)."""
     scene = reconstruction.scene
-    n = _LATTICE
+    n, m = settings.lattice, settings.patches
     points = grid_points(scene.grid, n, 0.0, 0)
     at = points.positions(positions)
     pixels = scene.camera.project(torch.from_numpy(at)).numpy()
@@ -62,21 +88,21 @@ def colours(reconstruction: Reconstruction, positions: Array) -> Colours:
     smooth: Array = np.empty(shown.shape)
     for f in range(len(grey)):
         where = [pixels[f, :, 1] - 0.5, pixels[f, :, 0] - 0.5]
-        weight = gaussian_filter(masks[f], 3.0)
-        blurred = gaussian_filter(grey[f] * masks[f], 3.0) / np.maximum(weight, 1e-3)
+        weight = gaussian_filter(masks[f], settings.smoothing)
+        blurred = gaussian_filter(grey[f] * masks[f], settings.smoothing) / np.maximum(weight, 1e-3)
         smooth[f] = map_coordinates(blurred, where, order=1, mode="nearest")
-        shown[f] &= map_coordinates(weight, where, order=1, mode="nearest") > 0.9
+        shown[f] &= map_coordinates(weight, where, order=1, mode="nearest") > settings.inside
     shown &= shown[:1]
-    patch = lambda a: a.reshape(len(a), _PATCH, n // _PATCH, _PATCH, n // _PATCH, *a.shape[2:])  # noqa: E731
+    patch = lambda a: a.reshape(len(a), m, n // m, m, n // m, *a.shape[2:])  # noqa: E731
     weight = patch(shown.astype(np.float64))
     seen = weight.mean((2, 4)).reshape(len(grey), -1)
     # The same points of frame 0: what is hidden now must not count there.
     now = (patch(smooth) * weight).sum((2, 4)).reshape(len(grey), -1)
     first = (patch(np.broadcast_to(smooth[:1], smooth.shape)) * weight).sum((2, 4)).reshape(len(grey), -1)
-    brightness = np.where(seen > 0.5, np.log(np.maximum(now, 1e-3) / np.maximum(first, 1e-3)), 0.0)
+    brightness = np.where(seen > settings.shown, np.log(np.maximum(now, 1e-3) / np.maximum(first, 1e-3)), 0.0)
     patch_normals = patch(normals).mean((2, 4)).reshape(len(grey), -1, 3)
     patch_normals /= np.maximum(np.linalg.norm(patch_normals, axis=-1, keepdims=True), 1e-9)
-    return Colours(brightness, np.where(seen > 0.5, seen, 0), patch_normals)
+    return Colours(brightness, np.where(seen > settings.shown, seen, 0), patch_normals)
 
 
 @dataclass(frozen=True)
@@ -97,7 +123,9 @@ class ColourFit:
     change: float
 
 
-def brightness_evidence(effect: BrightnessEffect, seen: Colours) -> ColourFit:
+def brightness_evidence(
+    effect: BrightnessEffect, seen: Colours, settings: ColourSettings = DEFAULT
+) -> ColourFit:
     """Evidence that light on turning surfaces explains the changes of brightness.
 
     The light may turn during the clip: besides the effect's own columns there are the same with slow changes
@@ -116,8 +144,8 @@ def brightness_evidence(effect: BrightnessEffect, seen: Colours) -> ColourFit:
         return acting.brightness(normals, reference).log()
 
     fixed: Array = np.moveaxis(derivatives(factor, effect), 0, -1)
-    weights = seen.seen / _BRIGHTNESS_NOISE**2 / _SHARED_ERROR
-    counts = (weights > 0).sum(1) / _SHARED_ERROR
+    weights = seen.seen / settings.noise**2 / settings.shared_error
+    counts = (weights > 0).sum(1) / settings.shared_error
     F = len(normals)
     turning = [fixed]
     for k in (1, 2):
@@ -128,7 +156,7 @@ def brightness_evidence(effect: BrightnessEffect, seen: Colours) -> ColourFit:
     for columns in (fixed, np.concatenate(turning, -1)):
         mean = np.zeros(columns.shape[-1])
         rest = total
-        for _ in range(_PASSES):
+        for _ in range(settings.passes):
             noise = (counts + rest) / np.maximum(counts, 1e-9)
             weighted = columns * (weights / noise[:, None])[..., None]
             H = np.eye(len(mean)) + np.einsum("fpk,fpl->kl", weighted, columns)

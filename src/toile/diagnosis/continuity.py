@@ -11,13 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from toile.diagnosis.positive import positive_lower
+from toile.limits import Positive, Unit
 
 Array = NDArray[np.float64]
 
@@ -30,8 +31,8 @@ class Discrepancy(NamedTuple):
         external: of one that does not; see force_modes.
     """
 
-    internal: float
-    external: float
+    internal: Annotated[Positive, Unit("m/s²")]
+    external: Annotated[Positive, Unit("m/s²")]
 
 
 @dataclass(frozen=True)

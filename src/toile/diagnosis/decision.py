@@ -5,12 +5,21 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib.resources import files
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from toile.diagnosis.made_with import MadeWith
+from toile.errors import InputError
+from toile.evaluation.diagnosis_record import CalibrationUse
+from toile.limits import Finite, NonNegative, Positive
 
 NONE = "none"
 UNKNOWN = "unknown"
+SHIPPED = Path(__file__).parent / "calibration.json"
+"""The package's own calibration."""
 
 
 @dataclass(frozen=True)
@@ -26,11 +35,11 @@ class Weights:
             and error of the time step up to which it does; see effect_size and time_step_error.
     """
 
-    hindsight: float = 0.5
-    most: float = 60.0
-    foresight: float = 20.0
-    farthest: float = 0.5
-    smallest: float = 0.005
+    hindsight: NonNegative = 0.5
+    most: NonNegative = 60.0
+    foresight: NonNegative = 20.0
+    farthest: NonNegative = 0.5
+    smallest: Positive = 0.005
 
     def combined(self, evidence: float, gain: float, size: float = np.inf, numerics: float = 0.0) -> float:
         """Log evidence that counts.
@@ -74,6 +83,8 @@ class Calibration:
         threshold: deviations at which an effect and none are equally probable.
         unknown: deviations at which something outside the catalogue and none are.
         source: scenes it was made from.
+        made_with: settings of the diagnosis that it belongs to; None if nothing says so: then it belongs to
+            none.
     """
 
     usual: Mapping[str, float]
@@ -82,12 +93,92 @@ class Calibration:
     threshold: float
     unknown: float
     source: str
+    made_with: MadeWith | None = None
 
     @staticmethod
-    def load() -> Calibration:
-        """The calibration that comes with the package."""
-        values = json.loads((files("toile.diagnosis") / "calibration.json").read_text())
-        return Calibration(**values)
+    def load(path: Path | None = None) -> Calibration:
+        """The calibration in a file; None for the one that comes with the package.
+
+        Raises:
+            InputError: there is no such file, or it is no calibration.
+        """
+        try:
+            text = (SHIPPED if path is None else path).read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise _wrong(path, f"{type(error).__name__}: {error}") from error
+        return Calibration.from_json(text, path)
+
+    @staticmethod
+    def from_json(text: str, path: Path | None = None) -> Calibration:
+        """The calibration in a text.
+
+        Args:
+            text: see ``to_json``.
+            path: where it comes from, for messages.
+
+        Raises:
+            InputError: it is no calibration.
+        """
+        try:
+            found = _File.model_validate_json(text)
+        except ValidationError as error:
+            first = error.errors()[0]
+            place = ".".join(map(str, first["loc"])) or "the file"
+            raise _wrong(path, f"{place}: {first['msg']}") from error
+        made_with = None if found.settings is None else MadeWith(found.settings)
+        if made_with is not None and found.settings_digest != made_with.digest:
+            raise _wrong(path, f"settings_digest {found.settings_digest} of other settings than those listed")
+        return Calibration(
+            found.usual,
+            found.spread,
+            found.temperature,
+            found.threshold,
+            found.unknown,
+            found.source,
+            made_with,
+        )
+
+    def to_json(self) -> str:
+        """The text of a file; what is usual is rounded to a thousandth."""
+        values: dict[str, Any] = {
+            "usual": {name: round(value, 3) for name, value in self.usual.items()},
+            "spread": {name: round(value, 3) for name, value in self.spread.items()},
+            "temperature": self.temperature,
+            "threshold": self.threshold,
+            "unknown": self.unknown,
+            "source": self.source,
+        }
+        if self.made_with is None:
+            return json.dumps(values, indent=1) + "\n"
+        values["settings_digest"] = self.made_with.digest
+        # One line each, lists too, to be read by people.
+        settings = (
+            f"  {json.dumps(name)}: {json.dumps(value)}" for name, value in self.made_with.settings.items()
+        )
+        text = json.dumps(values, indent=1).removesuffix("\n}")
+        return f'{text},\n "settings": {{\n' + ",\n".join(settings) + "\n }\n}\n"
+
+    def use(self, diagnosis: MadeWith | None, file: Path | None = None) -> CalibrationUse:
+        """What a diagnosis with these settings must say of its probabilities.
+
+        Args:
+            diagnosis: its settings; None if nothing is known of them.
+            file: that the calibration comes from; None for the package's own.
+        """
+        differences: tuple[str, ...]
+        if diagnosis is None:
+            differences = ("the settings of the diagnosis are not known",)
+        elif self.made_with is None:
+            differences = ("the calibration does not say which settings it belongs to",)
+        else:
+            differences = diagnosis.differences(self.made_with)
+        return CalibrationUse(
+            not differences,
+            "" if file is None else str(file),
+            "" if diagnosis is None else diagnosis.digest,
+            "" if self.made_with is None else self.made_with.digest,
+            differences,
+        )
 
     def score(self, name: str, log_evidence: float) -> float:
         """Log evidence in deviations above what is usual without the effect.
@@ -97,6 +188,30 @@ class Calibration:
         """
         usual = max(self.usual.get(name, 0.0), 0.0)
         return (log_evidence - usual) / max(self.spread.get(name, 1.0), 1.0)
+
+
+class _File(BaseModel):
+    """Keys of a calibration's file."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    usual: dict[str, Finite]
+    spread: dict[str, Positive]
+    temperature: Positive
+    threshold: Finite
+    unknown: Finite
+    source: str
+    settings_digest: str | None = None
+    settings: dict[str, Any] | None = None
+
+
+def _wrong(path: Path | None, got: str) -> InputError:
+    return InputError(
+        "No calibration can be read",
+        where=f"diagnosis.calibration={SHIPPED if path is None else path}",
+        expected="a file that toile calibrate has written; null for the package's own",
+        got=got,
+    )
 
 
 def probabilities(evidence: Mapping[str, float], calibration: Calibration) -> dict[str, float]:

@@ -1,69 +1,113 @@
-"""The diagnosis of one clip, from its images to a verdict."""
+"""The diagnosis of one clip, from its images to a verdict, stage by stage."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from pydantic import Field
 
 from toile.atomic_file import written_atomically
 from toile.diagnosis.aliases import alias_of
-from toile.diagnosis.border import BorderFit, border, border_evidence
-from toile.diagnosis.colours import ColourFit, brightness_evidence, colours
+from toile.diagnosis.answer import Weighed, promising, weighed
+from toile.diagnosis.border import BorderFit, BorderSettings, border, border_evidence
+from toile.diagnosis.colours import ColourFit, ColourSettings, brightness_evidence, colours
 from toile.diagnosis.continuity import Discrepancy
-from toile.diagnosis.decision import UNKNOWN, Calibration, Weights, probabilities, tempered
+from toile.diagnosis.decision import Calibration, Weights
 from toile.diagnosis.effect_size import effect_size
+from toile.diagnosis.evidence import EvidenceSettings
 from toile.diagnosis.findings import (
+    WIDENED,
     Finding,
-    Screening,
     estimates,
     finding,
     mechanical_findings,
     naive_answer,
 )
-from toile.diagnosis.gap_maps import gap_maps, stage_shares
-from toile.diagnosis.grip import SlipFit, slip_evidence
-from toile.diagnosis.mechanics import analyse_mechanics
-from toile.diagnosis.model_grid import model_grids
-from toile.diagnosis.numerics import StepRefinement, time_step_error
-from toile.diagnosis.refits import refits, settled
-from toile.diagnosis.sharpness import ExposureFit, exposure_evidence, smear
-from toile.diagnosis.shooting import ShootingSettings
-from toile.diagnosis.shrinkage import held_out_shrinks, prediction_gains
+from toile.diagnosis.fingerprint import code_fingerprint, fingerprint
+from toile.diagnosis.gap_maps import GapMaps, gap_maps, stage_shares
+from toile.diagnosis.grip import GripSettings, SlipFit, slip_evidence
+from toile.diagnosis.made_with import MADE_WITH_FILE, MadeWith
+from toile.diagnosis.mechanics import (
+    Mechanics,
+    analyse_mechanics,
+    mechanics_around,
+    shooting_of,
+    substeps_per_frame,
+    surroundings,
+)
+from toile.diagnosis.model_grid import ModelGrid, model_grids
+from toile.diagnosis.numerics import StepRefinement, halved, time_step_error
+from toile.diagnosis.refits import Race, RefitSettings, refits, settled
+from toile.diagnosis.sharpness import ExposureFit, ExposureSettings, exposure_evidence, smear
+from toile.diagnosis.shooting import Shooting, ShootingSettings
+from toile.diagnosis.shrinkage import HeldOut, PredictionSettings, held_out_shrinks, prediction_gains
+from toile.diagnosis.stage_store import Result, StageStore
 from toile.diagnosis.stage_times import TIMES_FILE, StageTimes
-from toile.diagnosis.tracked import CoarseTracking, point_settings, track, tracked_motion
-from toile.diagnosis.verdict import until, verdict_of
+from toile.diagnosis.stages import (
+    BASE_MODEL,
+    FILES,
+    FORETELLING,
+    HELD_OUT,
+    IMAGES,
+    KINDS,
+    MAPS,
+    NUMERICS,
+    REFITS,
+    SETTLED,
+    TRACKING,
+    BaseModel,
+    Foretold,
+    Seen,
+    SettledBase,
+    StepError,
+    TrackedMotion,
+    settings_of,
+)
+from toile.diagnosis.stored_values import ValueStore
+from toile.diagnosis.tracked import CoarseTracking, Tracked, point_settings, track, tracked_motion
+from toile.diagnosis.verdict import VerdictSettings, until, verdict_of
 from toile.diagnosis.workers import ALONE, Workers
 from toile.effects.anchor_slip import AnchorSlip
 from toile.effects.base import BrightnessEffect, CameraEffect, Effect, ExposureEffect, MaskEffect
 from toile.effects.catalogue import STAGES
 from toile.errors import InputError
-from toile.evaluation.diagnosis_record import EffectReport, GapReport, Protocol, Where
+from toile.evaluation.diagnosis_record import CalibrationUse, EffectReport, GapReport, Protocol, Where
 from toile.fitting.gauss_newton.recipe import TrackingRecipe
-from toile.fitting.lost_cloth import first_lost, outline_overlap
+from toile.fitting.lost_cloth import LEAST, first_lost, outline_overlap
 from toile.fitting.reconstruction import Reconstruction
+from toile.limits import Count, CountOrZero, Fraction, Positive, Seed, Unit
 from toile.scenes.scene import Scene
+from toile.simulators.implicit.integrators import BDF2
+from toile.simulators.implicit.simulator import ImplicitSimulator
 
+T = TypeVar("T")
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 """Called with what is being done and the share that is done."""
 
-TRACKED_FILE = "tracked.npz"
+Side = Annotated[int, Field(ge=3)]
+"""Vertices along a side of a grid."""
+
+_log = logging.getLogger(__name__)
+
+TRACKED_FILE = FILES[TRACKING]
 VERTICES_FILE = "gap_vertices.npy"
 FRAMES_FILE = "gap_frames_vertices.npy"
 SCREENING_FILE = "screening.npz"
 HELD_OUT_FILE = "held_out.npz"
 """Predicted positions of the held-out frames on the scene's grid, by what was in the model."""
 
-# Frames that are fitted at least.
-_FEWEST = 6
-# First-order log evidence from which on an effect is refitted.
-_PROMISING = -4.0
+# What of a scene a diagnosis looks at: everything but what it is called, where it lies, and the truth.
+_SEEN = [f.name for f in fields(Scene) if f.name not in ("name", "source", "notes", "ground_truth")]
 
 
 @dataclass(frozen=True)
@@ -88,23 +132,175 @@ class DiagnosisSettings:
         compared: effects whose prediction of held-out frames is measured.
         placebos: force fields without meaning that are fitted and predicted beside them.
         seed: of everything random.
+        fewest_frames: that are fitted at least; a clip with fewer is refused, and as many are used whatever
+            is lost.
+        least_overlap: of the outline with the mask, as a share of frame 0's; with less the cloth is lost.
+        border: camera and mask, see BorderSettings.
+        colours: light, see ColourSettings.
+        exposure: see ExposureSettings.
+        grip: see GripSettings.
+        evidence: of effects that move the cloth, see EvidenceSettings.
+        refits: see RefitSettings.
+        prediction: see PredictionSettings.
+        widened: factor by which intervals of the linearised model are too narrow.
+        verdict: when an answer is given, see VerdictSettings.
+        calibration: file that makes probabilities of evidence, of ``toile calibrate``; None for the package's
+            own.
     """
 
-    sides: tuple[int, ...] = (20,)
-    held_out: float = 0.25
+    sides: Annotated[tuple[Side, ...], Field(min_length=1), Unit("vertices")] = (20,)
+    held_out: Annotated[float, Field(ge=0, lt=1)] = 0.25
     coarse: CoarseTracking | None = field(default_factory=CoarseTracking)
     shooting: ShootingSettings = field(default_factory=ShootingSettings)
-    stiffness: tuple[float, float, float] = (850.0, 2.8, 5.3e-5)
-    longest_substep: float = 0.005
+    stiffness: tuple[Positive, Positive, Positive] = (850.0, 2.8, 5.3e-5)
+    longest_substep: Annotated[Positive, Unit("s")] = 0.005
     refinement: StepRefinement | None = None
     usual_discrepancy: Discrepancy = field(default_factory=lambda: Discrepancy(1.6, 0.1))
-    usual_cost: float = 15.0
-    refitted: tuple[int, ...] = (5, 2)
-    settling_passes: int = 4
+    usual_cost: Positive = 15.0
+    refitted: tuple[CountOrZero, ...] = (5, 2)
+    settling_passes: CountOrZero = 4
     weights: Weights = field(default_factory=Weights)
-    compared: int = 3
-    placebos: int = 3
-    seed: int = 0
+    compared: CountOrZero = 3
+    placebos: CountOrZero = 3
+    seed: Seed = 0
+    fewest_frames: Annotated[Count, Unit("frames")] = 6
+    least_overlap: Fraction = LEAST
+    border: BorderSettings = field(default_factory=BorderSettings)
+    colours: ColourSettings = field(default_factory=ColourSettings)
+    exposure: ExposureSettings = field(default_factory=ExposureSettings)
+    grip: GripSettings = field(default_factory=GripSettings)
+    evidence: EvidenceSettings = field(default_factory=EvidenceSettings)
+    refits: RefitSettings = field(default_factory=RefitSettings)
+    prediction: PredictionSettings = field(default_factory=PredictionSettings)
+    widened: Positive = WIDENED
+    verdict: VerdictSettings = field(default_factory=VerdictSettings)
+    calibration: str | None = None
+
+
+def diagnose(
+    reconstruction: Reconstruction,
+    recipe: TrackingRecipe,
+    effects: Sequence[Effect],
+    settings: DiagnosisSettings,
+    folder: Path,
+    progress: Progress,
+    workers: Workers = ALONE,
+    made_with: MadeWith | None = None,
+) -> GapReport:
+    """Diagnose a clip; results of its stages go into the folder, and those that are there are used again.
+
+    Args:
+        reconstruction: the scene with its cloth and free forces; its parameters are changed in place.
+        recipe: tracks the motion; its last stage is used.
+        effects: candidates, at zero.
+        settings: see DiagnosisSettings.
+        folder: of the run.
+        progress: called with what is being done and the share that is done.
+        workers: share what can be done side by side.
+        made_with: all settings that matter, those of tracking among them; None if nobody knows: then
+            probabilities are uncalibrated.
+
+    Returns:
+        The report; the caller writes it.
+
+    Raises:
+        InputError: the clip is too short or its frames are unevenly spaced, or something is asked for that a
+            diagnosis does not do.
+    """
+    check_problem(reconstruction, effects, settings)
+    calibration, use = _calibration(settings, made_with, folder)
+    clip = _Stages(reconstruction, recipe, effects, settings, calibration, use, folder, progress, workers)
+    stages: tuple[tuple[float, str, Callable[[], object]], ...] = (
+        (0.0, "tracking", lambda: clip.tracking),
+        (0.45, "what the images say", lambda: clip.images),
+        (0.5, "base model", lambda: clip.base_model),
+        (0.85, "base model, settled", lambda: clip.settled_base),
+        (0.86, "refits", lambda: clip.refits),
+        (0.92, "what the effects foretell", lambda: clip.foretelling),
+        (0.94, "time steps of half the length", lambda: clip.numerics),
+        (0.95, "held-out frames", lambda: clip.held_out),
+        (0.97, "maps", lambda: clip.maps),
+        (0.99, "answer", lambda: clip.report),
+    )
+    for share, what, made in stages:
+        progress(what, share)
+        made()
+    _write_results(clip, folder)
+    return clip.report
+
+
+def fitted_frames(n_frames: int, held_out: float, fewest: int) -> int:
+    """Frames that are fitted; those after them are held out.
+
+    Args:
+        n_frames: of the clip.
+        held_out: share of them.
+        fewest: that are fitted at least.
+
+    Raises:
+        InputError: the clip is too short for both.
+    """
+
+    def fitted(n: int) -> int:
+        return n - round(held_out * n)
+
+    if fitted(n_frames) < fewest:
+        enough = n_frames + 1
+        while fitted(enough) < fewest:
+            enough += 1
+        raise InputError(
+            "The clip is too short for a diagnosis",
+            where="scene",
+            expected=f"{enough} frames or more: {fewest} to fit, and a share of {held_out:g} held out "
+            "(diagnosis.held_out)",
+            got=f"{n_frames} frames",
+        )
+    return fitted(n_frames)
+
+
+def check_problem(
+    reconstruction: Reconstruction, effects: Sequence[Effect], settings: DiagnosisSettings
+) -> None:
+    """Refuse what a diagnosis cannot do, or would otherwise pass over in silence.
+
+    Raises:
+        InputError: unevenly spaced frames, too few of them, another simulator than the base model has,
+            effects that act while the motion is tracked, no candidates, or candidates with numbers.
+    """
+    _require_even_spacing(reconstruction.scene)
+    fitted_frames(reconstruction.scene.n_frames, settings.held_out, settings.fewest_frames)
+    simulator = reconstruction.simulator
+    if type(simulator) is not ImplicitSimulator or not isinstance(simulator.integrator, BDF2):
+        of = type(simulator.integrator).__name__ if isinstance(simulator, ImplicitSimulator) else ""
+        raise InputError(
+            "A diagnosis has one simulator, and effects are judged by its exact derivatives",
+            where="simulator",
+            expected="simulator=implicit with simulator/integrator=bdf2",
+            got=" with ".join(filter(None, (type(simulator).__name__, of))),
+        )
+    if len(reconstruction.effects):
+        raise InputError(
+            "A diagnosis tracks the motion without effects: free forces stand for all of them",
+            where="effect",
+            expected="none; candidates are given by effect@candidates",
+            got=", ".join(effect.NAME for effect in reconstruction.effects.acting()),
+        )
+    if not effects:
+        raise InputError(
+            "There is nothing to choose from",
+            where="candidates",
+            expected="an effect or more, e.g. effect@candidates=[air_drag,gusts]",
+            got="none",
+        )
+    for effect in effects:
+        if not effect.is_identity:
+            numbers = zip(effect.parameters, effect.values.tolist(), strict=True)
+            raise InputError(
+                "Candidates start from zero: the question is whether they act at all",
+                where=f"candidates.{effect.NAME}.values",
+                expected="0 for every one; the diagnosis estimates them",
+                got=", ".join(f"{p.name}: {value:g}" for p, value in numbers if value),
+            )
 
 
 def _require_even_spacing(scene: Scene) -> None:
@@ -121,138 +317,347 @@ def _require_even_spacing(scene: Scene) -> None:
     )
 
 
-def diagnose(
-    reconstruction: Reconstruction,
-    recipe: TrackingRecipe,
-    effects: Sequence[Effect],
-    settings: DiagnosisSettings,
-    folder: Path,
-    progress: Progress,
-    workers: Workers = ALONE,
-) -> GapReport:
-    """Diagnose a clip; arrays go into the folder, and what has been tracked there before is used again.
+class _Stages:
+    """The stages of one clip's diagnosis, each computed, or read where it was made from the same.
 
-    Args:
-        reconstruction: the scene with its cloth and free forces; changed in place.
-        recipe: tracks the motion; its last stage is used.
-        effects: candidates.
-        settings: see DiagnosisSettings.
-        folder: of the run.
-        progress: called with what is being done and the share that is done.
-        workers: share what can be done side by side.
-
-    Returns:
-        The report; the caller writes it.
-
-    Raises:
-        InputError: the frames are unevenly spaced.
+    Args: see diagnose; and the calibration, with what the report says of it.
     """
-    _require_even_spacing(reconstruction.scene)
-    torch.manual_seed(settings.seed)
-    scene = reconstruction.scene
-    n_frames = scene.n_frames
-    used = max(_FEWEST, n_frames - round(settings.held_out * n_frames))
-    _start_stiffness(reconstruction, settings.stiffness)
-    times = StageTimes()
-    with times.stage("tracking"):
-        positions, cached = _tracked_positions(
-            reconstruction, recipe, settings.coarse, used, folder, progress
-        )
-        # What comes after that is no motion of this cloth.
-        known = max(_FEWEST, first_lost(outline_overlap(reconstruction, positions)))
-        used = min(used, known)
-    if cached:
-        times.from_cache("tracking")
-    times.write(folder / TIMES_FILE)
-    progress("what the images say", 0.45)
-    with times.stage("images"):
-        points = point_settings(recipe)
-        levels = [
-            (grid, tracked_motion(reconstruction, positions, grid, points, settings.seed))
-            for grid in model_grids(scene, reconstruction.cloth, settings.sides)
+
+    def __init__(
+        self,
+        reconstruction: Reconstruction,
+        recipe: TrackingRecipe,
+        effects: Sequence[Effect],
+        settings: DiagnosisSettings,
+        calibration: Calibration,
+        use: CalibrationUse,
+        folder: Path,
+        progress: Progress,
+        workers: Workers,
+    ) -> None:
+        self.reconstruction, self.scene = reconstruction, reconstruction.scene
+        self.effects, self.settings = tuple(effects), settings
+        self._calibration, self._use = calibration, use
+        self._recipe, self._progress, self._workers = recipe, progress, workers
+        self._fitted = fitted_frames(self.scene.n_frames, settings.held_out, settings.fewest_frames)
+        _start_stiffness(reconstruction, settings.stiffness)
+        times = StageTimes.going_on(folder / TIMES_FILE)
+        self._store = StageStore(folder, ValueStore(KINDS, self.effects), times)
+        self._shooting: dict[int, Shooting] = {}
+        simulator = reconstruction.simulator
+        assert isinstance(simulator, ImplicitSimulator)
+        self._problem = {
+            "code": code_fingerprint(),
+            "scene": fingerprint({name: getattr(self.scene, name) for name in _SEEN}),
+            "cloth": fingerprint(reconstruction.cloth),
+            "simulator": fingerprint(simulator.newton, simulator.integrator, reconstruction.frame_steps),
+            "renderer": fingerprint(
+                type(reconstruction.renderer), getattr(reconstruction.renderer, "supersampling", None)
+            ),
+            "optimization": fingerprint(recipe.stages[-1]),
+            "start": fingerprint(reconstruction.parameters.state_dict()),
+        }
+        self._candidates = {"candidates": fingerprint(self.effects)}
+
+    @property
+    def used(self) -> int:
+        """Frames that are fitted: as many as are meant to be, as long as tracking keeps the cloth."""
+        return min(self._fitted, self.images.value.known)
+
+    @cached_property
+    def tracking(self) -> Result[TrackedMotion]:
+        """Positions of all frames, with free forces."""
+        parameters, settings = self.reconstruction.parameters, self.settings
+        start = {name: value.clone() for name, value in parameters.state_dict().items()}
+        n_frames = self.scene.n_frames
+
+        def report(frame: int, share: float) -> None:
+            self._progress(f"tracking, frame {frame} of {n_frames}", 0.45 * share)
+
+        def compute() -> TrackedMotion:
+            torch.manual_seed(settings.seed)
+            found = track(
+                self.reconstruction,
+                self._recipe,
+                settings.coarse,
+                self._fitted,
+                report,
+                settings.least_overlap,
+            )
+            # Nothing that comes after may hang on whether tracking has just been done.
+            parameters.load_state_dict(start)
+            return TrackedMotion(found)
+
+        return self._result(TRACKING, TrackedMotion, compute)
+
+    @cached_property
+    def images(self) -> Result[Seen]:
+        """How far tracking keeps the cloth, and traces that are no motion."""
+
+        def compute() -> Seen:
+            positions = self.tracking.value.positions
+            # What comes after that is no motion of this cloth.
+            kept = first_lost(outline_overlap(self.reconstruction, positions), self.settings.least_overlap)
+            known = max(self.settings.fewest_frames, kept)
+            # Said here, where its time belongs.
+            _ = self.levels
+            seen = positions[: min(self._fitted, known)]
+            return Seen(known, _still_findings(self.reconstruction, seen, self.effects, self.settings))
+
+        return self._result(IMAGES, Seen, compute, (self.tracking,), self._candidates)
+
+    @cached_property
+    def levels(self) -> list[tuple[ModelGrid, Tracked]]:
+        """Grids of the model, coarse to fine, and the motion on them; made anew, as they are large."""
+        points, seed = point_settings(self._recipe), self.settings.seed
+        return [
+            (grid, tracked_motion(self.reconstruction, self.tracking.value.positions, grid, points, seed))
+            for grid in model_grids(self.scene, self.reconstruction.cloth, self.settings.sides)
         ]
-        findings = _still_findings(reconstruction, positions[:used], effects)
-    progress("base model", 0.5)
-    done = [0]
 
-    def count(what: str, cost: float) -> None:
-        done[0] += 1
-        progress(f"base model, cost {cost:.0f}", min(0.5 + 0.025 * done[0], 0.85))
+    @cached_property
+    def base_model(self) -> Result[BaseModel]:
+        """Stiffness, wind, starts, anchors and forces of all windows."""
+        settings, done = self.settings, [0]
 
-    with times.stage("base model and evidence"):
-        mechanics = analyse_mechanics(
-            scene,
-            levels,
-            effects,
-            settings.shooting,
-            settings.stiffness,
-            settings.longest_substep,
-            used,
-            count,
-            workers,
-            settings.refinement,
+        def count(what: str, cost: float) -> None:
+            done[0] += 1
+            self._progress(f"base model, cost {cost:.0f}", min(0.5 + 0.025 * done[0], 0.85))
+
+        def compute() -> BaseModel:
+            found = analyse_mechanics(
+                self.scene,
+                self.levels,
+                self.effects,
+                settings.shooting,
+                settings.stiffness,
+                settings.longest_substep,
+                self.used,
+                count,
+                self._workers,
+                settings.refinement,
+                settings.evidence,
+            )
+            finer = found.shooting.substeps // substeps_per_frame(self.scene.fps, settings.longest_substep)
+            return BaseModel(found.fit, finer.bit_length() - 1, found.evidence.systems)
+
+        # Whoever the candidates are: the base model hangs on the fitted frames only.
+        frames = {"fitted frames": fingerprint(self.used)}
+        return self._result(BASE_MODEL, BaseModel, compute, (self.tracking,), frames)
+
+    @cached_property
+    def mechanics(self) -> Mechanics:
+        """The base model, ready to be worked with."""
+        return self._around(self.base_model.value)
+
+    @cached_property
+    def settled_base(self) -> Result[SettledBase]:
+        """The base model with forces of the size that it needs, and effects to first order around it."""
+        settings, usual = self.settings, self.settings.usual_discrepancy
+
+        def compute() -> SettledBase:
+            best = settled(
+                self.mechanics,
+                self.scene.camera,
+                usual,
+                settings.settling_passes,
+                self._workers,
+                settings.refits,
+            )
+            return SettledBase(best.fit, best.evidence.systems, mechanical_findings(best, usual))
+
+        after = (self.tracking, self.base_model)
+        return self._result(SETTLED, SettledBase, compute, after, self._candidates)
+
+    @cached_property
+    def settled_mechanics(self) -> Mechanics:
+        """The settled base model, ready to be worked with."""
+        return self._around(self.settled_base.value)
+
+    @cached_property
+    def refits(self) -> Result[Race]:
+        """Promising effects at their own best fits."""
+        screened = self.settled_base.value.screening
+
+        def compute() -> Race:
+            return refits(
+                self.settled_mechanics,
+                promising(screened, self.settings.refits.promising),
+                screened.charges,
+                self.settings.usual_discrepancy,
+                self.settings.refitted,
+                lambda what, share: self._progress(what, 0.86 + 0.06 * share),
+                self._workers,
+                self.settings.refits,
+            )
+
+        after = (self.tracking, self.base_model, self.settled_base)
+        return self._result(REFITS, Race, compute, after, self._candidates)
+
+    @cached_property
+    def foretelling(self) -> Result[Foretold]:
+        """What refitted effects foretell of every window, and how far they move the cloth."""
+        race = self.refits.value
+
+        def compute() -> Foretold:
+            gains = prediction_gains(
+                self.mechanics, race.base, race.effects, self._workers, self.settings.prediction
+            )
+            sizes = {
+                name: effect_size(self.mechanics, model) / self.width for name, model in race.effects.items()
+            }
+            return Foretold(gains, sizes)
+
+        after = (self.tracking, self.base_model, self.refits)
+        return self._result(FORETELLING, Foretold, compute, after, self._candidates)
+
+    @cached_property
+    def numerics(self) -> Result[StepError]:
+        """What half the time step changes."""
+
+        def compute() -> StepError:
+            return StepError(time_step_error(self.mechanics.shooting, self.mechanics.fit))
+
+        after = (self.tracking, self.base_model)
+        return self._result(NUMERICS, StepError, compute, after)
+
+    @property
+    def width(self) -> float:
+        """Of the cloth [m]."""
+        return self.mechanics.around.cloth_size[0]
+
+    @cached_property
+    def weighed(self) -> Weighed:
+        """What speaks for every hypothesis, all taken together."""
+        return weighed(
+            self.images.value.findings,
+            self.settled_base.value.screening,
+            self.refits.value,
+            self.foretelling.value,
+            self.mechanics.effects,
+            step_error=self.numerics.value.distance / self.width,
+            used=self.used,
+            usual_cost=self.settings.usual_cost,
+            weights=self.settings.weights,
+            calibration=self._calibration,
         )
-    progress("base model, settled", 0.85)
-    with times.stage("refits"):
-        usual = settings.usual_discrepancy
-        best = settled(mechanics, scene.camera, usual, settings.settling_passes, workers)
-        screened = mechanical_findings(best, usual)
-        base, models = refits(
-            best,
-            _promising(screened),
-            screened.charges,
-            usual,
-            settings.refitted,
-            lambda what, share: progress(what, 0.86 + 0.06 * share),
-            workers,
+
+    @cached_property
+    def held_out(self) -> Result[HeldOut]:
+        """Open rollouts over frames that no fit has seen, with the most probable effects."""
+        race, settings = self.refits.value, self.settings
+        compared = [name for name in self.weighed.ranked if name in race.effects][: settings.compared]
+
+        def compute() -> HeldOut:
+            return held_out_shrinks(
+                self.mechanics,
+                race.base,
+                {name: race.effects[name] for name in compared},
+                used=self.used,
+                known=self.images.value.known,
+                horizon=settings.shooting.window,
+                n_placebos=settings.placebos,
+                seed=settings.seed,
+                settings=settings.prediction,
+            )
+
+        after = (self.tracking, self.images, self.base_model, self.refits)
+        others = {**self._candidates, "compared effects": fingerprint(compared)}
+        return self._result(HELD_OUT, HeldOut, compute, after, others)
+
+    @cached_property
+    def maps(self) -> Result[GapMaps]:
+        """Where the base model departs from the tracked motion."""
+        after = (self.tracking, self.base_model)
+        return self._result(MAPS, GapMaps, lambda: gap_maps(self.mechanics), after)
+
+    @cached_property
+    def report(self) -> GapReport:
+        """The answer: it follows from the stages at once, and is stored by nobody but the caller."""
+        settings, found, maps = self.settings, self.weighed, self.maps.value
+        shrinks, known = self.held_out.value.shrinks, self.images.value.known
+        n_frames = self.scene.n_frames
+        numerics = min(1.0, self.numerics.value.distance / max(maps.mean, 1e-9))
+        explained = found.left <= settings.usual_cost
+        verdict = verdict_of(
+            found.chances,
+            found.evidence,
+            self._calibration,
+            shrinks,
+            explained=explained,
+            settings=settings.verdict,
         )
-    for name, screening in screened.findings.items():
-        if name in models:
-            model = models[name]
-            gained = model.gained - screened.charges[name]
-            findings[name] = finding(mechanics.effects[name], gained, model.mean, model.covariance)
-        else:
-            # What has not been tried, or could not keep its promise, speaks for nothing.
-            findings[name] = replace(screening, log_evidence=min(screening.log_evidence, 0.0))
-    calibration = Calibration.load()
-    progress("what the effects foretell", 0.92)
-    with times.stage("foretelling"):
-        gains = prediction_gains(mechanics, base, models, workers)
-        width = mechanics.around.cloth_size[0]
-        sizes = {name: effect_size(mechanics, model) / width for name, model in models.items()}
-    with times.stage("numerics"):
-        step_error = time_step_error(mechanics.shooting, mechanics.fit)
-    evidence = {name: found.log_evidence for name, found in findings.items()}
-    left = min(model.image_cost for model in (base, *models.values())) / used
-    for name in screened.findings:
-        fitted, foretold = findings[name].log_evidence, gains.get(name, 0.0)
-        counted = settings.weights.combined(fitted, foretold, sizes.get(name, np.inf), step_error / width)
-        evidence[name] = tempered(counted, left, settings.usual_cost)
-    # What is unknown foretells nothing, better or worse.
-    missing = base.evidence.posterior(())
-    beyond = missing.log_evidence - base.evidence.posterior((), usual).log_evidence
-    unknown = settings.weights.combined(beyond, 0.0)
-    chances = probabilities({**evidence, UNKNOWN: unknown}, calibration)
-    ranked = [name for name in chances if name in findings]
-    progress("held-out frames", 0.95)
-    with times.stage("held-out frames"):
-        compared = [name for name in ranked if name in models][: settings.compared]
-        held_out = held_out_shrinks(
-            mechanics,
-            base,
-            {name: models[name] for name in compared},
-            used=used,
-            known=known,
-            horizon=settings.shooting.window,
-            n_placebos=settings.placebos,
-            seed=settings.seed,
+        by_name = {effect.NAME: effect for effect in self.effects}
+        best, size = self.settled_mechanics, self.refits.value.discrepancy
+        return GapReport(
+            until(verdict, known) if known < n_frames else verdict,
+            Where(
+                stage_shares(found.evidence, self._calibration, numerics),
+                maps.frames,
+                VERTICES_FILE,
+                maps.regimes,
+            ),
+            tuple(
+                EffectReport(
+                    name,
+                    STAGES[name].value,
+                    found.chances[name],
+                    estimates(found.findings[name], by_name[name], settings.widened),
+                    shrinks.get(name),
+                )
+                for name in found.ranked
+            ),
+            alias_of(best, size, self._calibration, settings.weights),
+            Protocol(
+                settings.seed,
+                tuple(range(self.used)),
+                tuple(range(self.used, n_frames)),
+                f"toile {version('toile')}",
+                naive_answer(best, found.findings),
+            ),
+            self._use,
         )
-    progress("maps", 0.97)
-    with times.stage("maps"):
-        maps = gap_maps(mechanics)
-    numerics = min(1.0, step_error / max(maps.mean, 1e-9))
-    times.write(folder / TIMES_FILE)
-    prolong = levels[-1][0].prolong
+
+    def _around(self, found: BaseModel | SettledBase) -> Mechanics:
+        """A base model that was stored, with the problem that it solves."""
+        halvings = self.base_model.value.halvings
+        grid, tracked = self.levels[-1]
+        if halvings not in self._shooting:
+            settings = self.settings
+            shooting = shooting_of(self.scene, grid, tracked, settings.shooting, settings.longest_substep)
+            for _ in range(halvings):
+                shooting = halved(shooting)
+            self._shooting[halvings] = shooting
+        around = surroundings(self.scene, grid)
+        return mechanics_around(
+            self._shooting[halvings],
+            found.fit,
+            found.systems,
+            self.effects,
+            around,
+            self.settings.evidence,
+        )
+
+    def _result(
+        self,
+        stage: str,
+        kind: type[T],
+        compute: Callable[[], T],
+        after: Sequence[Result[Any]] = (),
+        others: Mapping[str, str] | None = None,
+    ) -> Result[T]:
+        """A stage's result, made from the problem, the settings it asks for, other results and more."""
+        before = {result.stage: result.digest for result in after}
+        inputs = {**self._problem, **settings_of(stage, self.settings), **(others or {}), **before}
+        return self._store.result(stage, FILES[stage], kind, inputs, compute)
+
+
+def _write_results(clip: _Stages, folder: Path) -> None:
+    """The arrays that stand beside the report."""
+    found, race, maps, held_out = clip.weighed, clip.refits.value, clip.maps.value, clip.held_out.value
+    screened, foretold = clip.settled_base.value.screening.findings, clip.foretelling.value
+    findings, fit = found.findings, clip.mechanics.fit
+    prolong = clip.levels[-1][0].prolong
     _write_arrays(
         folder / HELD_OUT_FILE,
         {"frames": np.array(held_out.frames, int)}
@@ -263,105 +668,66 @@ def diagnose(
     _write_arrays(
         folder / SCREENING_FILE,
         {
-            "names": np.array(list(evidence)),
-            "log_evidence": np.array(list(evidence.values())),
+            "names": np.array(list(found.evidence)),
+            "log_evidence": np.array(list(found.evidence.values())),
             "first_order": np.array(
-                [screened.findings[n].log_evidence if n in screened.findings else np.nan for n in findings]
+                [screened[n].log_evidence if n in screened else np.nan for n in findings]
             ),
-            "hindsight": np.array([found.log_evidence for found in findings.values()]),
-            "foretold": np.array([gains.get(name, np.nan) for name in findings]),
-            "size": np.array([sizes.get(name, np.nan) for name in findings]),  # over the cloth's width
-            "unknown": np.array(beyond),
-            "left": np.array(left),
-            "discrepancy": np.array(missing.discrepancy),  # internal, external
-            "base": mechanics.fit.values,
-            "time_step_error": np.array(step_error),
-            "width": np.array(width),
-            "costs": np.array(mechanics.fit.history),
+            "hindsight": np.array([f.log_evidence for f in findings.values()]),
+            "foretold": np.array([foretold.gains.get(name, np.nan) for name in findings]),
+            "size": np.array([foretold.sizes.get(name, np.nan) for name in findings]),  # over the width
+            "unknown": np.array(race.beyond),
+            "left": np.array(found.left),
+            "discrepancy": np.array(race.discrepancy),  # internal, external
+            "base": fit.values,
+            "time_step_error": np.array(clip.numerics.value.distance),
+            "width": np.array(clip.width),
+            "costs": np.array(fit.history),
         },
     )
-    by_name = {effect.NAME: effect for effect in effects}
-    explained = left <= settings.usual_cost
-    verdict = verdict_of(chances, evidence, calibration, held_out.shrinks, explained=explained)
-    return GapReport(
-        until(verdict, known) if known < n_frames else verdict,
-        Where(stage_shares(evidence, calibration, numerics), maps.frames, VERTICES_FILE, maps.regimes),
-        tuple(
-            EffectReport(
-                name,
-                STAGES[name].value,
-                chances[name],
-                estimates(findings[name], by_name[name]),
-                held_out.shrinks.get(name),
-            )
-            for name in ranked
-        ),
-        alias_of(best, missing.discrepancy, calibration, settings.weights),
-        Protocol(
-            settings.seed,
-            tuple(range(used)),
-            tuple(range(used, n_frames)),
-            f"toile {version('toile')}",
-            naive_answer(best, findings),
-        ),
-    )
+
+
+def _calibration(
+    settings: DiagnosisSettings, made_with: MadeWith | None, folder: Path
+) -> tuple[Calibration, CalibrationUse]:
+    """The calibration, and whether it belongs to these settings, which are written down; warns if not."""
+    file = None if settings.calibration is None else Path(settings.calibration)
+    calibration = Calibration.load(file)
+    use = calibration.use(made_with, file)
+    if made_with is not None:
+        made_with.write(folder / MADE_WITH_FILE)
+    if not use.calibrated:
+        _log.warning(
+            "uncalibrated: probabilities were not calibrated for these settings (%s)",
+            "; ".join(use.differences),
+        )
+    return calibration, use
 
 
 def _still_findings(
-    reconstruction: Reconstruction, positions: Array, effects: Sequence[Effect]
+    reconstruction: Reconstruction, positions: Array, effects: Sequence[Effect], settings: DiagnosisSettings
 ) -> dict[str, Finding]:
     """Findings from the outline of frame 0, brightness, sharpness and the paths of the held vertices."""
     scene = reconstruction.scene
-    outline = border(scene)
-    seen = colours(reconstruction, positions)
+    outline = border(scene, settings.border)
+    seen = colours(reconstruction, positions, settings.colours)
     findings = {}
     for effect in effects:
         fit: BorderFit | ColourFit | ExposureFit | SlipFit
         if isinstance(effect, CameraEffect | MaskEffect):
-            fit = border_evidence(effect, scene, outline)
+            fit = border_evidence(effect, scene, outline, settings.border)
         elif isinstance(effect, BrightnessEffect):
-            fit = brightness_evidence(effect, seen)
+            fit = brightness_evidence(effect, seen, settings.colours)
         elif isinstance(effect, ExposureEffect):
-            fit = exposure_evidence(effect, smear(reconstruction, positions))
+            fit = exposure_evidence(effect, smear(reconstruction, positions, settings.exposure))
         elif isinstance(effect, AnchorSlip):
             held = list(scene.held_vertices)
             pull = positions[0].mean(0) - positions[0][held]
-            fit = slip_evidence(effect, positions[:, held], scene.fps, pull)
+            fit = slip_evidence(effect, positions[:, held], scene.fps, pull, settings.grip)
         else:
             continue
         findings[effect.NAME] = finding(effect, fit.log_evidence, fit.mean, fit.covariance)
     return findings
-
-
-def _promising(screened: Screening) -> dict[str, tuple[int, ...]]:
-    """Free numbers of the effects that are worth a fit of their own, the most promising first."""
-    promise = {name: found.log_evidence for name, found in screened.findings.items()}
-    names = sorted(promise, key=lambda name: -promise[name])
-    return {name: screened.free[name] for name in names if screened.free[name] and promise[name] > _PROMISING}
-
-
-def _tracked_positions(
-    reconstruction: Reconstruction,
-    recipe: TrackingRecipe,
-    coarse: CoarseTracking | None,
-    used: int,
-    folder: Path,
-    progress: Progress,
-) -> tuple[Array, bool]:
-    """Frame positions (F, N, 3) [m], and whether they come from the folder."""
-    path = folder / TRACKED_FILE
-    if path.exists():
-        with np.load(path) as stored:
-            if int(stored["used"]) == used:
-                return np.asarray(stored["positions"]), True
-    n_frames = reconstruction.scene.n_frames
-
-    def report(frame: int, share: float) -> None:
-        progress(f"tracking, frame {frame} of {n_frames}", 0.45 * share)
-
-    positions = track(reconstruction, recipe, coarse, used, report)
-    _write_arrays(path, {"positions": positions, "used": np.array(used)})
-    return positions, False
 
 
 def _start_stiffness(reconstruction: Reconstruction, stiffness: tuple[float, float, float]) -> None:

@@ -11,15 +11,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, product
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 from scipy.linalg import cho_solve
 
 from toile.diagnosis.continuity import Discrepancy, Joined, Reduced, WindowSystem
 from toile.diagnosis.positive import positive_factor
+from toile.limits import Count, NonNegative, Positive, Unit
 
 Array = NDArray[np.float64]
+
+Sizes = Annotated[tuple[Positive, ...], Field(min_length=1), Unit("m/s²")]
+"""Deviations of a force per mass."""
 
 
 @dataclass(frozen=True)
@@ -42,10 +48,36 @@ class Posterior:
     slack: float
 
 
-INTERNAL = (0.0125, 0.025, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
-EXTERNAL = (0.003125, 0.00625, 0.0125, 0.025, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6)
-"""What is tried."""
+@dataclass(frozen=True)
+class EvidenceSettings:
+    """What is tried for a hypothesis, and what it is charged.
 
+    Attributes:
+        internal: deviations of an internal force mode that are tried [m/s²].
+        external: of an external one.
+        slack: factor on the prior deviations of an effect's numbers: those say how large a number usually
+            is, not how large it can be.
+        many: numbers of an effect from which on their common scale is found.
+        scales: shares of the usual one that are tried for it, and charged.
+        forbidden: log evidence taken from an effect all of whose signs are impossible.
+    """
+
+    internal: Sizes = (0.0125, 0.025, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
+    external: Sizes = (0.003125, 0.00625, 0.0125, 0.025, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6)
+    slack: Positive = 1.5
+    many: Count = 4
+    scales: Annotated[tuple[Positive, ...], Field(min_length=1)] = (0.05, 0.15, 0.4, 1.0)
+    forbidden: NonNegative = 20.0
+
+    def tried(self, size: Discrepancy) -> Discrepancy:
+        """The largest discrepancy that is tried and not above ``size``, or the smallest."""
+        return Discrepancy(
+            max((d for d in self.internal if d <= size.internal), default=min(self.internal)),
+            max((d for d in self.external if d <= size.external), default=min(self.external)),
+        )
+
+
+DEFAULT = EvidenceSettings()
 ANY = Discrepancy(np.inf, np.inf)
 
 
@@ -56,7 +88,7 @@ class Evidence:
         systems: of all windows.
         values: base values of the fit (n_base,).
         deviations: their prior deviations.
-        slack: factor on the prior deviations of an effect's numbers.
+        settings: see EvidenceSettings.
         numbers: of the effects around which the systems are, in prior deviations; None for zeros.
         like: evidence whose determinants of the local unknowns stand for those here; None for their own.
             Around two motions they differ by where a fold is about to snap, which is no knowledge.
@@ -67,7 +99,7 @@ class Evidence:
         systems: Sequence[WindowSystem],
         values: Array,
         deviations: Array,
-        slack: float = 1.5,
+        settings: EvidenceSettings = DEFAULT,
         numbers: Array | None = None,
         like: Evidence | None = None,
     ) -> None:
@@ -75,7 +107,8 @@ class Evidence:
         self.n_base = len(values)
         self.values = values
         self.deviations = deviations
-        self.slack = slack
+        self.settings = settings
+        self.slack = settings.slack
         self.n_shared = len(systems[0].gradient) - len(systems[0].white)
         self.numbers = np.zeros(self.n_shared - self.n_base) if numbers is None else numbers
         self._like = like
@@ -94,9 +127,9 @@ class Evidence:
         self, columns: Sequence[int], largest: Discrepancy = ANY, slack: float | None = None
     ) -> Posterior:
         """The hypothesis that frees these columns, at its best discrepancy up to ``largest``."""
-        limit = _tried(largest)
-        internal = [d for d in INTERNAL if d <= limit.internal]
-        external = [d for d in EXTERNAL if d <= limit.external]
+        limit = self.settings.tried(largest)
+        internal = sorted(d for d in self.settings.internal if d <= limit.internal)
+        external = sorted(d for d in self.settings.external if d <= limit.external)
         found: dict[tuple[int, int], Posterior] = {}
 
         def at(place: tuple[int, int]) -> float:
@@ -139,7 +172,7 @@ class Evidence:
                 best = found
         if best is None:
             none = self.posterior((), largest)
-            return replace(none, log_evidence=none.log_evidence - _FORBIDDEN)
+            return replace(none, log_evidence=none.log_evidence - self.settings.forbidden)
         return replace(best, log_evidence=best.log_evidence - sign_charge(lowest))
 
     def scaled(self, columns: Sequence[int], largest: Discrepancy) -> Posterior:
@@ -148,15 +181,16 @@ class Evidence:
         Each of many numbers is charged for its prior's width, so a width that is too large by far hides a
         field or a gust that is there (automatic relevance determination, MacKay 1992).
         """
-        if len(columns) < _MANY:
+        if len(columns) < self.settings.many:
             return self.posterior(columns, largest)
-        found = [self.posterior(columns, largest, share * self.slack) for share in _SHARES]
+        scales = self.settings.scales
+        found = [self.posterior(columns, largest, share * self.slack) for share in scales]
         best = max(found, key=lambda posterior: posterior.log_evidence)
-        return replace(best, log_evidence=best.log_evidence - float(np.log(len(_SHARES))))
+        return replace(best, log_evidence=best.log_evidence - float(np.log(len(scales))))
 
     def loss_drop(self, columns: Sequence[int], size: Discrepancy) -> float:
         """By how much the training loss falls with these columns free, without any charge for them."""
-        size = _tried(size)
+        size = self.settings.tried(size)
         free = self._at(columns, size, charge=False).log_evidence
         return free - self._at((), size, charge=False).log_evidence
 
@@ -243,18 +277,5 @@ def _near(place: int, last: int) -> range:
     return range(max(place - 1, 0), min(place + 1, last) + 1)
 
 
-def _tried(size: Discrepancy) -> Discrepancy:
-    """The largest discrepancy that is tried and not above ``size``, or the smallest."""
-    return Discrepancy(
-        max((d for d in INTERNAL if d <= size.internal), default=INTERNAL[0]),
-        max((d for d in EXTERNAL if d <= size.external), default=EXTERNAL[0]),
-    )
-
-
-# Numbers from which on their scale is found, and what is tried: shares of the usual one.
-_MANY = 4
-_SHARES = (0.05, 0.15, 0.4, 1.0)
-# Damping that holds a window back.
+# Damping that holds a window back: stands for infinity.
 _HELD = 1e6
-# Log evidence taken from an effect whose every sign is impossible.
-_FORBIDDEN = 20.0

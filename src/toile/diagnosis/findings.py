@@ -102,12 +102,22 @@ def naive_answer(mechanics: Mechanics, findings: Mapping[str, Finding]) -> str:
     return max(drops, key=lambda name: drops[name])
 
 
-def estimates(found: Finding, effect: Effect) -> dict[str, Estimate]:
-    """Estimates with 90 % intervals within the bounds."""
+WIDENED = 2.0
+"""See estimates."""
+
+
+def estimates(found: Finding, effect: Effect, widened: float = WIDENED) -> dict[str, Estimate]:
+    """Estimates with 90 % intervals within the bounds.
+
+    Args:
+        found: of the effect.
+        effect: its parameters.
+        widened: factor by which intervals of the linearised model are too narrow.
+    """
     out = {}
     for parameter in effect.parameters:
         mean = float(np.clip(found.mean[parameter.name], parameter.low, parameter.high))
-        reach = 1.645 * _WIDENED * found.deviation[parameter.name]
+        reach = 1.645 * widened * found.deviation[parameter.name]
         out[parameter.name] = Estimate(
             mean,
             float(np.clip(mean - reach, parameter.low, parameter.high)),
@@ -115,7 +125,3 @@ def estimates(found: Finding, effect: Effect) -> dict[str, Estimate]:
             parameter.unit,
         )
     return out
-
-
-# Intervals of the linearised model are too narrow by about this factor.
-_WIDENED = 2.0

@@ -13,18 +13,20 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# Directions in which the holders push less than this share of their strongest one count as free.
-_SLACK = 0.05
+SLACK = 0.05
+"""See n_balanced."""
 
 
-def n_balanced(held: Array, size: float) -> int:
+def n_balanced(held: Array, size: float, slack: float = SLACK) -> int:
     """How many resultants and torques the holders leave alone: 6 without any, 3, 1 for a line, else 0.
 
     Args:
         held: positions of the held vertices (n_held, 3) [m].
         size: of the cloth [m].
+        slack: singular value of resultants and torques (over the size) of unit forces at the holders, below
+            which a direction counts as free.
     """
-    return int(6 - (np.linalg.svd(_reactions(held, size), compute_uv=False) > _SLACK).sum())
+    return int(6 - (np.linalg.svd(_reactions(held, size), compute_uv=False) > slack).sum())
 
 
 def external_first(fields: Array, masses: Array, positions: Array, held: Array, n: int) -> Array:

@@ -9,43 +9,66 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import product
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 from scipy.linalg import cho_factor, cho_solve
 from scipy.special import log_ndtr, logsumexp
 
 from toile.effects.anchor_slip import AnchorSlip
 from toile.errors import InputError
+from toile.limits import Count, CountOrZero, NonNegative, Positive, Unit
 
 Array = NDArray[np.float64]
 
-# Tracking leaves the template in the first frames; what a held vertex does there says nothing.
-_SETTLING = 3
-# Frames after a ramp in which the displacement is seen to stay.
-_STAYS = 3
-# How long ramps take [s].
-_DURATIONS = (0.06, 0.12, 0.24, 0.4)
-# Deviations of the errors of tracking across the rays [m], and the times [s] over which they last.
-_ACROSS = (0.0015, 0.003, 0.006, 0.012)
-_MEMORY = (0.1, 0.5)
-# Errors along the rays are larger by this factor.
-_ALONG = 5.0
-# Errors that every frame makes on its own, across the rays [m].
-_WHITE = 0.0005
-# The tracker jumps too, by about so many deviations of its errors. Where it follows badly it loses its hold
-# altogether: from this error on jumps grow with its square, up to a size [m].
-_JUMP = 2.5
-_WELL_TRACKED = 0.0015
-_FARTHEST = 0.04
-# Two hands: deviations of their relative motion [m], and the time [s] in which it changes.
-_SWAY = (0.0, 0.006, 0.02, 0.04)
-_SLOW = 0.2
-# Relative motion in proportion to the common one, beside the sway. The common motion has its part of a slip,
-# so a wide share would explain slips away.
-_SHARE = 0.1
-# What remains of leaving the template, across the rays [m].
-_OFFSET = 0.01
+
+@dataclass(frozen=True)
+class GripSettings:
+    """What held vertices do without slipping, errors of their tracking among it, and how slips look.
+
+    Lists are tried side by side and averaged over.
+
+    Attributes:
+        settling: first frames that say nothing: tracking is still leaving the template there.
+        stays: frames after a ramp in which the displacement is seen to stay.
+        durations: of ramps [s].
+        across: deviations of the errors of tracking across the rays [m].
+        memory: times over which those last [s].
+        along: by which factor errors along the rays are larger.
+        white: errors that every frame makes on its own, across the rays [m].
+        jump: deviations of its errors by which the tracker jumps.
+        well_tracked: error [m] from which on jumps grow with its square, as a tracker that follows badly
+            loses its hold altogether.
+        farthest: jumps at most [m].
+        sway: deviations of the relative motion of two hands [m].
+        slow: time in which that changes [s].
+        share: relative motion in proportion to the common one, beside the sway. The common motion has its
+            part of a slip, so a wide share would explain slips away.
+        offset: what remains of leaving the template, across the rays [m].
+        odds: how many times less probable a vertex may be than the likeliest one, and still be the one that
+            slips by its own path.
+    """
+
+    settling: CountOrZero = 3
+    stays: Count = 3
+    durations: Annotated[tuple[Positive, ...], Field(min_length=1), Unit("s")] = (0.06, 0.12, 0.24, 0.4)
+    across: Annotated[tuple[Positive, ...], Field(min_length=1), Unit("m")] = (0.0015, 0.003, 0.006, 0.012)
+    memory: Annotated[tuple[Positive, ...], Field(min_length=1), Unit("s")] = (0.1, 0.5)
+    along: Annotated[float, Field(ge=1, allow_inf_nan=False)] = 5.0
+    white: Annotated[Positive, Unit("m")] = 0.0005
+    jump: Positive = 2.5
+    well_tracked: Annotated[Positive, Unit("m")] = 0.0015
+    farthest: Annotated[Positive, Unit("m")] = 0.04
+    sway: Annotated[tuple[NonNegative, ...], Field(min_length=1), Unit("m")] = (0.0, 0.006, 0.02, 0.04)
+    slow: Annotated[Positive, Unit("s")] = 0.2
+    share: NonNegative = 0.1
+    offset: Annotated[NonNegative, Unit("m")] = 0.01
+    odds: Annotated[float, Field(ge=1, allow_inf_nan=False)] = 20.0
+
+
+DEFAULT = GripSettings()
 
 
 @dataclass(frozen=True)
@@ -67,7 +90,13 @@ class SlipFit:
     duration: float
 
 
-def slip_evidence(effect: AnchorSlip, positions: Array, fps: float, pull: Array | None = None) -> SlipFit:
+def slip_evidence(
+    effect: AnchorSlip,
+    positions: Array,
+    fps: float,
+    pull: Array | None = None,
+    settings: GripSettings = DEFAULT,
+) -> SlipFit:
     """Evidence that one of the held vertices slips.
 
     Every vertex is judged by its displacement relative to the mean of the others, so what all do together
@@ -81,6 +110,7 @@ def slip_evidence(effect: AnchorSlip, positions: Array, fps: float, pull: Array 
         fps: frames per second.
         pull: direction (n_held, 3) in which the cloth pulls at each of them; a grip only gives way to it.
             None if unknown.
+        settings: see GripSettings.
 
     Returns:
         See SlipFit; without evidence (0) if fewer than two vertices are held or the clip is too short.
@@ -101,18 +131,18 @@ def slip_evidence(effect: AnchorSlip, positions: Array, fps: float, pull: Array 
         raise InputError(
             "pull has another shape", where="pull", expected=f"({n}, 3)", got=str(np.shape(pull))
         )
-    ramps = _ramps(F, fps)
+    ramps = _ramps(F, fps, settings)
     if n < 2 or not ramps:
         return SlipFit(0.0, np.zeros(3), np.eye(3), 0, 0.0, 0.1)
     scales = effect.scales.numpy()
-    shapes = np.stack([_ramp(F, fps, *ramp)[_SETTLING:] for ramp in ramps])
-    solved = [_solved(positions, i, fps, shapes) for i in range(n if n > 2 else 1)]
+    shapes = np.stack([_ramp(F, fps, *ramp)[settings.settling :] for ramp in ramps])
+    solved = [_solved(positions, i, fps, shapes, settings) for i in range(n if n > 2 else 1)]
     if n == 2:
         solved.append(solved[0].mirrored())
     found = [_judged(one, scales, None if pull is None else pull[i]) for i, one in enumerate(solved)]
     table = np.stack([values for values, _, _ in found])
     total = float(logsumexp(table) - np.log(table.size))
-    vertex = _which(table, positions, shapes)
+    vertex = _which(table, positions, shapes, settings)
     values, means, covariances = found[vertex]
     w = np.exp(values - logsumexp(values))
     mean = w @ means
@@ -122,11 +152,11 @@ def slip_evidence(effect: AnchorSlip, positions: Array, fps: float, pull: Array 
     return SlipFit(total, mean, covariance, vertex, *ramps[best])
 
 
-def _ramps(n_frames: int, fps: float) -> list[tuple[float, float]]:
+def _ramps(n_frames: int, fps: float, settings: GripSettings) -> list[tuple[float, float]]:
     """Starts and durations [s] that are tried."""
-    last = (n_frames - 1 - _STAYS) / fps
-    starts = np.arange(_SETTLING, n_frames) / fps
-    return [(float(t), d) for d, t in product(_DURATIONS, starts) if t + d <= last]
+    last = (n_frames - 1 - settings.stays) / fps
+    starts = np.arange(settings.settling, n_frames) / fps
+    return [(float(t), d) for d, t in product(settings.durations, starts) if t + d <= last]
 
 
 def _ramp(n_frames: int, fps: float, start: float, duration: float) -> Array:
@@ -156,26 +186,26 @@ class _Solved:
         return _Solved(self.null, -self.slope, self.information, self.jumps)
 
 
-def _solved(positions: Array, vertex: int, fps: float, shapes: Array) -> _Solved:
-    n = positions.shape[1]
+def _solved(positions: Array, vertex: int, fps: float, shapes: Array, settings: GripSettings) -> _Solved:
+    s, n = settings, positions.shape[1]
     others = [i for i in range(n) if i != vertex]
-    moved = positions - positions[_SETTLING]
-    relative = (moved[:, vertex] - moved[:, others].mean(1))[_SETTLING:].reshape(-1)
-    common = moved.mean(1)[_SETTLING:]
+    moved = positions - positions[s.settling]
+    relative = (moved[:, vertex] - moved[:, others].mean(1))[s.settling :].reshape(-1)
+    common = moved.mean(1)[s.settling :]
     rays = positions[0] / np.linalg.norm(positions[0], axis=-1, keepdims=True)
     # Errors of a vertex and of a mean of others, each along its own ray.
     along = np.einsum("na,nb->nab", rays, rays)
     along = along[vertex] + along[others].mean(0) / len(others)
-    errors = (1 + 1 / len(others)) * np.eye(3) + (_ALONG**2 - 1) * along
+    errors = (1 + 1 / len(others)) * np.eye(3) + (s.along**2 - 1) * along
     T, K = len(common), len(shapes)
     lag = np.abs(np.subtract.outer(np.arange(T), np.arange(T))) / fps
     columns: Array = np.einsum("kt,ab->takb", shapes, np.eye(3)).reshape(3 * T, -1)
-    share = _SHARE**2 * np.einsum("ta,ub,ab->taub", common, common, np.eye(3)).reshape(3 * T, -1)
+    share = s.share**2 * np.einsum("ta,ub,ab->taub", common, common, np.eye(3)).reshape(3 * T, -1)
     null, slope, information, jumps = [], [], [], []
-    for across, memory, sway in product(_ACROSS, _MEMORY, _SWAY):
-        drift = across**2 * np.exp(-lag / memory) + _OFFSET**2 + _WHITE**2 * np.eye(T)
+    for across, memory, sway in product(s.across, s.memory, s.sway):
+        drift = across**2 * np.exp(-lag / memory) + s.offset**2 + s.white**2 * np.eye(T)
         C = np.kron(drift, errors) + share
-        C += np.kron(sway**2 * np.exp(-0.5 * (lag / _SLOW) ** 2), 2 * np.eye(3))
+        C += np.kron(sway**2 * np.exp(-0.5 * (lag / s.slow) ** 2), 2 * np.eye(3))
         factor = cho_factor(C, lower=True)
         weighted = cho_solve(factor, np.column_stack((relative, columns)))
         log_det = 2 * float(np.log(np.diag(factor[0])).sum())
@@ -183,7 +213,7 @@ def _solved(positions: Array, vertex: int, fps: float, shapes: Array) -> _Solved
         slope.append((columns.T @ weighted[:, 0]).reshape(K, 3))
         blocks, solved = columns.reshape(3 * T, K, 3), weighted[:, 1:].reshape(3 * T, K, 3)
         information.append(np.einsum("ska,skb->kab", blocks, solved))
-        jump = min(_JUMP * across * max(1.0, across / _WELL_TRACKED), _FARTHEST)
+        jump = min(s.jump * across * max(1.0, across / s.well_tracked), s.farthest)
         jumps.append(jump**2 * errors)
     return _Solved(np.array(null), np.array(slope), np.array(information), np.array(jumps))
 
@@ -217,14 +247,14 @@ def _judged(solved: _Solved, scales: Array, pull: Array | None) -> tuple[Array, 
     return np.asarray(total - logsumexp(null)), mean, covariance
 
 
-def _which(table: Array, positions: Array, shapes: Array) -> int:
+def _which(table: Array, positions: Array, shapes: Array, settings: GripSettings) -> int:
     """The vertex whose own path has the most of the ramp, among those that are about equally probable."""
     rows = logsumexp(table, axis=1)
     shape = shapes[int(np.argmax(table[int(np.argmax(rows))]))]
-    moved = positions[_SETTLING:]
+    moved = positions[settings.settling :]
     before, after = shape == 0, shape == 1
     before[0] = True
     # Next to the ramp, so that slow motion matters less.
-    jump = moved[after][:_STAYS].mean(0) - moved[before][-_STAYS:].mean(0)
+    jump = moved[after][: settings.stays].mean(0) - moved[before][-settings.stays :].mean(0)
     own = np.linalg.norm(jump, axis=-1)
-    return int(np.argmax(np.where(rows > rows.max() - np.log(20), own, -1.0)))
+    return int(np.argmax(np.where(rows > rows.max() - np.log(settings.odds), own, -1.0)))

@@ -24,7 +24,7 @@ from toile.diagnosis.effect_columns import (
     apparent_columns,
     force_columns,
 )
-from toile.diagnosis.evidence import Evidence
+from toile.diagnosis.evidence import DEFAULT, Evidence, EvidenceSettings
 from toile.diagnosis.model_grid import ModelGrid
 from toile.diagnosis.numerics import StepRefinement, refined
 from toile.diagnosis.sensitivities import StepForces
@@ -80,6 +80,7 @@ def analyse_mechanics(
     report: Callable[[str, float], None],
     workers: Workers = ALONE,
     refinement: StepRefinement | None = None,
+    hypotheses: EvidenceSettings = DEFAULT,
 ) -> Mechanics:
     """Fit the base model to the first n_frames frames.
 
@@ -95,28 +96,12 @@ def analyse_mechanics(
         report: called with a message and the cost.
         workers: share the windows.
         refinement: of the time step; None to leave it as it is.
+        hypotheses: how the evidence of one is found.
     """
-    substeps = substeps_per_frame(scene.fps, longest_substep)
-    gravity = scene.gravity.numpy().astype(np.float64)
     fit: BaseFit | None = None
     for grid, tracked in levels:
         last = grid is levels[-1][0]
-        horizontal = horizontal_axes(torch.from_numpy(gravity)).numpy()
-        tension = template_tension(grid.cloth, tracked.positions[0], gravity, horizontal)
-        simulator = ImplicitSimulator(
-            grid.cloth, 1 / scene.fps / substeps, BDF2(), NewtonSettings(_TOLERANCE), (tension,)
-        )
-        held = grid.cloth.held.numpy()
-        shooting = Shooting(
-            simulator,
-            substeps,
-            gravity,
-            horizontal,
-            grid.grid,
-            tracked.positions[:, held],
-            tracked,
-            settings,
-        )
+        shooting = shooting_of(scene, grid, tracked, settings, longest_substep)
         start = np.array(stiffness) * (1.0, grid.units.length**2, 1.0)
         passes = None if last else 0
         fit = fit_base(shooting, tracked.positions[0], start, n_frames, report, fit, passes, workers)
@@ -124,8 +109,68 @@ def analyse_mechanics(
     if refinement is not None:
         nothing = refinement.tolerance * grid.cloth_size[0]
         shooting, fit = refined(shooting, fit, nothing, refinement.shortest, report, workers)
-    around = Surroundings(grid.cloth, grid.cloth_size, torch.from_numpy(gravity), scene.fps, scene.n_frames)
-    # At zero, whatever numbers a candidate comes with.
+    around = surroundings(scene, grid)
+    systems = effect_systems(shooting, fit, (), around, None, 0, workers)
+    return mechanics_around(shooting, fit, systems, effects, around, hypotheses)
+
+
+def shooting_of(
+    scene: Scene, grid: ModelGrid, tracked: Tracked, settings: ShootingSettings, longest_substep: float
+) -> Shooting:
+    """The problem on one grid.
+
+    Args:
+        scene: its gravity and frame rate are used.
+        grid: of the model.
+        tracked: motion on it.
+        settings: see ShootingSettings.
+        longest_substep: [s].
+    """
+    substeps = substeps_per_frame(scene.fps, longest_substep)
+    gravity = scene.gravity.numpy().astype(np.float64)
+    horizontal = horizontal_axes(torch.from_numpy(gravity)).numpy()
+    tension = template_tension(grid.cloth, tracked.positions[0], gravity, horizontal, settings.tension_ridge)
+    simulator = ImplicitSimulator(
+        grid.cloth, 1 / scene.fps / substeps, BDF2(), NewtonSettings(settings.newton_tolerance), (tension,)
+    )
+    held = grid.cloth.held.numpy()
+    return Shooting(
+        simulator,
+        substeps,
+        gravity,
+        horizontal,
+        grid.grid,
+        tracked.positions[:, held],
+        tracked,
+        settings,
+    )
+
+
+def surroundings(scene: Scene, grid: ModelGrid) -> Surroundings:
+    """The nominal clip on the model's grid."""
+    gravity = torch.from_numpy(scene.gravity.numpy().astype(np.float64))
+    return Surroundings(grid.cloth, grid.cloth_size, gravity, scene.fps, scene.n_frames)
+
+
+def mechanics_around(
+    shooting: Shooting,
+    fit: BaseFit,
+    systems: Sequence[WindowSystem],
+    effects: Sequence[Effect],
+    around: Surroundings,
+    hypotheses: EvidenceSettings = DEFAULT,
+) -> Mechanics:
+    """What is known around a base model.
+
+    Args:
+        shooting: the problem.
+        fit: the base model.
+        systems: around it, of all windows, with the columns of all effects or without.
+        effects: candidates; those that act neither through forces nor the camera are passed over.
+        around: the nominal clip on the model's grid.
+        hypotheses: how the evidence of one is found.
+    """
+    # At zero: what is asked is whether they act at all.
     acting = [
         effect.with_values(torch.zeros_like(effect.scales))
         for effect in effects
@@ -137,8 +182,7 @@ def analyse_mechanics(
     for effect in acting:
         columns[effect.NAME] = (at, at + len(effect.scales))
         at += len(effect.scales)
-    systems = effect_systems(shooting, fit, (), around, None, 0, workers)
-    evidence = Evidence(systems, fit.values, base_deviations(shooting))
+    evidence = Evidence(systems, fit.values, base_deviations(shooting), hypotheses)
     return Mechanics(shooting, fit, evidence, columns, {e.NAME: e for e in acting}, around)
 
 
@@ -193,7 +237,3 @@ def effect_systems(
 
     columns = [shared(window) for window in fit.windows]
     return window_systems(shooting, fit.windows, base, columns, seen, N_BASE + n_effects, simulator, workers)
-
-
-# Out-of-balance force over a vertex' weight: 0.01 m/s², far below any discrepancy that is looked at.
-_TOLERANCE = 1e-3

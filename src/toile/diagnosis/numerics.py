@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 import torch
@@ -17,6 +18,7 @@ from toile.cloth.state import State
 from toile.diagnosis.base_fit import BaseFit, improved
 from toile.diagnosis.shooting import Base, Shooting, WindowMotion
 from toile.diagnosis.workers import ALONE, Workers
+from toile.limits import Positive, Unit
 from toile.simulators.implicit.simulator import ImplicitSimulator
 
 Array = NDArray[np.float64]
@@ -31,8 +33,8 @@ class StepRefinement:
         shortest: no step is made shorter [s].
     """
 
-    tolerance: float = 0.001
-    shortest: float = 0.00125
+    tolerance: Positive = 0.001
+    shortest: Annotated[Positive, Unit("s")] = 0.00125
 
 
 def time_step_error(shooting: Shooting, fit: BaseFit) -> float:
@@ -40,7 +42,7 @@ def time_step_error(shooting: Shooting, fit: BaseFit) -> float:
 
     Both start from the same positions and velocities, with the same forces and held vertices.
     """
-    finer = _halved(shooting)
+    finer = halved(shooting)
     return _distance(shooting, fit.windows, finer, _finer_windows(shooting, finer, fit.windows, fit.base))
 
 
@@ -63,7 +65,7 @@ def refined(
         workers: share the windows.
     """
     while shooting.simulator.time_step / 2 > (1 - 1e-6) * shortest:
-        finer = _halved(shooting)
+        finer = halved(shooting)
         windows = _finer_windows(shooting, finer, fit.windows, fit.base, workers)
         if _distance(shooting, fit.windows, finer, windows) <= tolerance:
             break
@@ -72,7 +74,7 @@ def refined(
     return shooting, fit
 
 
-def _halved(shooting: Shooting) -> Shooting:
+def halved(shooting: Shooting) -> Shooting:
     """The problem with two steps for every one."""
     nominal = shooting.simulator
     assert isinstance(nominal, ImplicitSimulator)

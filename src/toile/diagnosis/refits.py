@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 import torch
@@ -19,24 +20,39 @@ from numpy.typing import NDArray
 
 from toile.diagnosis.base_fit import base_of, changed_windows
 from toile.diagnosis.continuity import Discrepancy, WindowSystem
-from toile.diagnosis.damping import TRIED, less, more
 from toile.diagnosis.evidence import Evidence, Posterior
 from toile.diagnosis.mechanics import Mechanics, effect_systems
 from toile.diagnosis.shooting import Base, WindowMotion
 from toile.diagnosis.workers import ALONE, Workers
 from toile.effects.base import Effect
 from toile.geometry.camera import Camera
+from toile.limits import Finite, Fraction, NonNegative, Positive, Unit
 
 Array = NDArray[np.float64]
 
-# Change of a logarithm of stiffness [1] or of the wind [m/s²] in one pass at most.
-_LONGEST = np.array([0.7, 0.7, 0.7, 2.0, 2.0])
-# A pass that lowers the cost by less than this is the last one.
-_LITTLE = 2.0
-# Log evidence by which a pass may change it and be the last one.
-_SETTLED = 1.0
-# Windows whose cost rises by this share of the largest rise are held back where no step of all helps.
-_WORST = 0.1
+
+@dataclass(frozen=True)
+class RefitSettings:
+    """When passes that settle the base model and fit effects end, and how far one goes.
+
+    Attributes:
+        promising: log evidence to first order from which on an effect is tried. Below zero, as what is weak
+            to first order may be strong.
+        little: a settling pass that lowers the cost by less than this is the last one.
+        settled: log evidence by which a pass of a refit may change it and be the last one.
+        longest_wind: change of the wind in one pass at most [m/s²]; of stiffness see ShootingSettings.
+        worst: share of the largest rise of a window's cost. Windows whose cost rises by more are held back
+            where no step of all helps.
+    """
+
+    promising: Finite = -4.0
+    little: NonNegative = 2.0
+    settled: NonNegative = 1.0
+    longest_wind: Annotated[Positive, Unit("m/s²")] = 2.0
+    worst: Fraction = 0.1
+
+
+DEFAULT = RefitSettings()
 
 
 @dataclass(frozen=True)
@@ -48,7 +64,6 @@ class Refit:
             lowered the cost: what it promised to first order is not there.
         base: stiffness and wind.
         windows: simulated.
-        evidence: of hypotheses around there.
         gained: log evidence beyond that of the base model after as many passes.
         image_cost: negative log-likelihood of the fitted frames, up to a constant.
         mean, covariance: of the effect's numbers in prior deviations (n,), (n, n).
@@ -57,11 +72,27 @@ class Refit:
     effects: tuple[Effect, ...]
     base: Base
     windows: list[WindowMotion]
-    evidence: Evidence
     gained: float
     image_cost: float
     mean: Array
     covariance: Array
+
+
+@dataclass(frozen=True)
+class Race:
+    """The base model and the promising effects at their best fits.
+
+    Attributes:
+        base: the base model, which has had as many passes as any effect.
+        effects: those that act where they have ended, by name.
+        beyond: log evidence that the base model gains by forces larger than usual.
+        discrepancy: of the base model then.
+    """
+
+    base: Refit
+    effects: dict[str, Refit]
+    beyond: float
+    discrepancy: Discrepancy
 
 
 @dataclass(frozen=True)
@@ -77,7 +108,12 @@ class _Moved:
 
 
 def settled(
-    mechanics: Mechanics, camera: Camera, usual: Discrepancy, passes: int, workers: Workers = ALONE
+    mechanics: Mechanics,
+    camera: Camera,
+    usual: Discrepancy,
+    passes: int,
+    workers: Workers = ALONE,
+    settings: RefitSettings = DEFAULT,
 ) -> Mechanics:
     """The base model fitted with forces of the size that it needs, and effects to first order around there.
 
@@ -90,6 +126,7 @@ def settled(
         usual: discrepancy of a right model.
         passes: at most.
         workers: share the windows.
+        settings: see RefitSettings.
     """
     shooting, fit, evidence = mechanics.shooting, mechanics.fit, mechanics.evidence
     effects = list(mechanics.effects.values())
@@ -97,18 +134,18 @@ def settled(
     damping = 0.0
     for index in range(passes):
         best = evidence.posterior((), usual)
-        moved = _step(mechanics, evidence, best, None, fit.windows, np.zeros(0), damping, workers)
+        moved = _step(mechanics, evidence, best, None, fit.windows, np.zeros(0), damping, settings, workers)
         if moved is None:
             break
         fit = replace(fit, windows=moved.windows, values=moved.values)
         # A short step is no sign of having arrived.
-        if (moved.damping == 0 and moved.gained < _LITTLE) or index + 1 == passes:
+        if (moved.damping == 0 and moved.gained < settings.little) or index + 1 == passes:
             break
-        damping = less(moved.damping)
+        damping = shooting.settings.damping.less(moved.damping)
         systems = effect_systems(shooting, fit, (), mechanics.around, None, 0, workers)
-        evidence = Evidence(systems, fit.values, evidence.deviations, evidence.slack)
+        evidence = Evidence(systems, fit.values, evidence.deviations, evidence.settings)
     systems = effect_systems(shooting, fit, effects, mechanics.around, camera, n, workers)
-    evidence = Evidence(systems, fit.values, evidence.deviations, evidence.slack)
+    evidence = Evidence(systems, fit.values, evidence.deviations, evidence.settings)
     return replace(mechanics, fit=fit, evidence=evidence)
 
 
@@ -150,10 +187,16 @@ class Refitting:
         effect: of the catalogue; None for the base model itself.
         columns: numbers of the effect that are free, the others stay zero.
         usual: discrepancy of a right model; the hypothesis has to do with it.
+        settings: see RefitSettings.
     """
 
     def __init__(
-        self, mechanics: Mechanics, effect: Effect | None, columns: Sequence[int], usual: Discrepancy
+        self,
+        mechanics: Mechanics,
+        effect: Effect | None,
+        columns: Sequence[int],
+        usual: Discrepancy,
+        settings: RefitSettings = DEFAULT,
     ) -> None:
         first = mechanics.evidence
         n_base = first.n_base
@@ -161,6 +204,7 @@ class Refitting:
         a = 0 if effect is None else n_base + mechanics.columns[effect.NAME][0]
         systems = [s.with_shared([*range(n_base), *range(a, a + n)]) for s in first.systems]
         self._mechanics, self._effect, self._usual = mechanics, effect, usual
+        self._settings = settings
         self._free = [n_base + c for c in columns]
         self._place = self._judged(mechanics.fit.windows, mechanics.fit.values, np.zeros(n), (), systems, ())
 
@@ -182,6 +226,7 @@ class Refitting:
             place.windows,
             place.numbers,
             place.damping,
+            self._settings,
         )
         if moved is None:
             return replace(place, is_done=True)
@@ -192,9 +237,10 @@ class Refitting:
             moved.windows, moved.values, moved.numbers, moved.effects, systems, place.log_evidences
         )
         # The first pass may lead through places that are worse.
-        little = abs(found.log_evidences[-1] - found.log_evidences[-2]) < _SETTLED
+        little = abs(found.log_evidences[-1] - found.log_evidences[-2]) < self._settings.settled
         done = len(found.log_evidences) > 2 and moved.damping == 0 and little
-        return replace(found, damping=less(moved.damping), is_done=done)
+        damping = mechanics.shooting.settings.damping.less(moved.damping)
+        return replace(found, damping=damping, is_done=done)
 
     def move(self, place: _Place) -> None:
         """Go to where ``advanced`` leads."""
@@ -213,7 +259,6 @@ class Refitting:
             place.effects,
             base,
             place.windows,
-            self._evidence(place.systems, place.values, place.numbers),
             # What more passes bring any model is no merit of the one that has had them.
             place.log_evidences[-1] - base_model.log_evidences[: len(place.log_evidences)][-1],
             place.image_cost,
@@ -221,9 +266,14 @@ class Refitting:
             covariance,
         )
 
+    def evidence(self) -> Evidence:
+        """Of hypotheses around where it is."""
+        place = self._place
+        return self._evidence(place.systems, place.values, place.numbers)
+
     def _evidence(self, systems: list[WindowSystem], values: Array, numbers: Array) -> Evidence:
         first = self._mechanics.evidence
-        return Evidence(systems, values, first.deviations, first.slack, numbers, like=first)
+        return Evidence(systems, values, first.deviations, first.settings, numbers, like=first)
 
     def _judged(
         self,
@@ -260,7 +310,8 @@ def refits(
     tried: Sequence[int],
     report: Callable[[str, float], None],
     workers: Workers = ALONE,
-) -> tuple[Refit, dict[str, Refit]]:
+    settings: RefitSettings = DEFAULT,
+) -> Race:
     """The base model and the promising effects at their best fits, as a race: the last drop out early.
 
     Args:
@@ -271,14 +322,12 @@ def refits(
         tried: effects that have a first pass, a second one, and so on.
         report: called with what has been done and the share that is done.
         workers: share the hypotheses.
-
-    Returns:
-        The base model, which has had as many passes, and the effects that act where they have ended.
+        settings: see RefitSettings.
     """
     total, done = sum(tried) + len(tried), 0
-    base = Refitting(mechanics, None, (), usual)
+    base = Refitting(mechanics, None, (), usual, settings)
     models = {
-        name: Refitting(mechanics, mechanics.effects[name], columns, usual)
+        name: Refitting(mechanics, mechanics.effects[name], columns, usual, settings)
         for name, columns in list(promising.items())[: max(tried, default=0)]
     }
     running = list(models)
@@ -291,7 +340,11 @@ def refits(
             done += 1
             report(f"refit of {name}", done / total)
     found = {name: model.result(base) for name, model in models.items()}
-    return base.result(base), {name: model for name, model in found.items() if model.effects}
+    acting = {name: model for name, model in found.items() if model.effects}
+    evidence = base.evidence()
+    missing = evidence.posterior(())
+    beyond = missing.log_evidence - evidence.posterior((), usual).log_evidence
+    return Race(base.result(base), acting, beyond, missing.discrepancy)
 
 
 def _step(
@@ -302,10 +355,13 @@ def _step(
     windows: list[WindowMotion],
     numbers: Array,
     damping: float,
+    settings: RefitSettings,
     workers: Workers = ALONE,
 ) -> _Moved | None:
     """One pass; None where no step lowers the cost."""
     shooting, start = mechanics.shooting, mechanics.fit.start_stiffness
+    damped = shooting.settings.damping
+    longest = np.array([shooting.settings.longest_stiffness] * 3 + [settings.longest_wind] * 2)
     at = [c - evidence.n_base for c in best.columns]
 
     def cost(moved: list[WindowMotion], base: Array, own: Array) -> float:
@@ -319,9 +375,9 @@ def _step(
     for _ in range(2):
         risen: Array | None = None
         tried = damping
-        for _ in range(TRIED):
+        for _ in range(damped.tried):
             values, own, changes = evidence.towards(
-                best.columns, best.discrepancy, tried, _LONGEST, held, best.slack
+                best.columns, best.discrepancy, tried, longest, held, best.slack
             )
             trial = numbers.copy()
             trial[at] = own
@@ -335,16 +391,16 @@ def _step(
                 )
             except FloatingPointError:
                 # Effects can be strong enough to blow up a step.
-                tried = more(tried)
+                tried = damped.more(tried)
                 continue
             gained = before - cost(moved, values, trial)
             if gained > 0 and all(window.converged for window in moved):
                 return _Moved(moved, values, trial, acting, gained, tried)
             if risen is None:
                 risen = np.array([shooting.image_cost(window) for window in moved]) - seen
-            tried = more(tried)
+            tried = damped.more(tried)
         # A fold that snaps at the slightest change makes its window worse whatever the others gain.
-        held = None if risen is None else risen > _WORST * risen.max()
+        held = None if risen is None else risen > settings.worst * risen.max()
         if held is None or held.all():
             return None
         damping = 0.0

@@ -9,14 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from pydantic import Field
 from scipy.linalg import lapack
 
 from toile.cloth.material import Material
 from toile.diagnosis.past_forces import PastForces
+from toile.limits import Fraction
 from toile.simulators.implicit.banded import BandedCholesky
 from toile.simulators.implicit.newton import potential_hessian
 from toile.simulators.implicit.terms import SceneTerms
@@ -27,10 +30,23 @@ Array = NDArray[np.float64]
 Single = NDArray[np.float32]
 
 
-# Growth of a change in one step that is followed. Where a fold is about to snap it is without bounds, and no
-# tangent holds for long: then the smallest share of the convex Hessian is taken with which it is not faster.
-_FASTEST = 5.0
-_CONVEX = (0.0, 0.1, 0.25, 0.5, 0.75, 1.0)
+@dataclass(frozen=True)
+class TangentSettings:
+    """How fast a change may grow.
+
+    Where a fold is about to snap, changes grow without bounds and no tangent holds for long. Then the
+    smallest share of a convex Hessian is taken with which they are not faster than this.
+
+    Attributes:
+        fastest: growth of a change in one sub-step that is followed.
+        convex: shares of the convex Hessian that are tried in this order; the last one is taken if none does.
+    """
+
+    fastest: Annotated[float, Field(gt=1, allow_inf_nan=False)] = 5.0
+    convex: Annotated[tuple[Fraction, ...], Field(min_length=1)] = (0.0, 0.1, 0.25, 0.5, 0.75, 1.0)
+
+
+DEFAULT = TangentSettings()
 
 
 @dataclass(frozen=True)
@@ -129,6 +145,7 @@ class KnownMotion:
         past: positions before the first one, latest first (K, N, 3) [m]; None: at rest.
         steps: taken before; multistep methods begin with formulas of their own.
         past_step: between the positions before the first one [s]; None: the time step.
+        settings: of the tangents.
     """
 
     def __init__(
@@ -139,8 +156,10 @@ class KnownMotion:
         past: Array | None = None,
         steps: int = 0,
         past_step: float | None = None,
+        settings: TangentSettings = DEFAULT,
     ) -> None:
         self.simulator = simulator
+        self.settings = settings
         self.past_step = simulator.time_step if past_step is None else past_step
         self.positions = positions
         self.stiffness = stiffness
@@ -276,15 +295,15 @@ class KnownMotion:
         extra = self._scene.vertices
         exact, coupling = potential_hessian(assembly, x, self.stiffness, extra, convex=False)
         convex: Array | None = None
-        for share in _CONVEX:
+        for share in self.settings.convex:
             band = exact.copy()
             if share > 0:
                 if convex is None:
                     convex, _ = potential_hessian(assembly, x, self.stiffness, extra, convex=True)
                 band = (1 - share) * exact + share * convex
             slower = band.copy()
-            assembly.add_diagonal(slower, (1 - 1 / _FASTEST) * inertia)
-            if share == _CONVEX[-1] or BandedCholesky.factorise(slower) is not None:
+            assembly.add_diagonal(slower, (1 - 1 / self.settings.fastest) * inertia)
+            if share == self.settings.convex[-1] or BandedCholesky.factorise(slower) is not None:
                 break
         assembly.add_diagonal(band, inertia)
         factor = BandedCholesky.factorise(band)

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain, pairwise
+from typing import Annotated
 
 import numpy as np
 import torch
@@ -19,12 +20,14 @@ from toile.cloth.cloth import Cloth
 from toile.cloth.material import Material
 from toile.cloth.state import State
 from toile.diagnosis.continuity import Discrepancy
-from toile.diagnosis.force_modes import external_first, n_balanced
-from toile.diagnosis.sensitivities import Columns, KnownMotion, StepForces
-from toile.diagnosis.template_tension import TemplateTension
+from toile.diagnosis.damping import Damping
+from toile.diagnosis.force_modes import SLACK, external_first, n_balanced
+from toile.diagnosis.sensitivities import Columns, KnownMotion, StepForces, TangentSettings
+from toile.diagnosis.template_tension import RIDGE, TemplateTension
 from toile.diagnosis.tracked import Tracked
 from toile.effects.base import Effect, Surroundings
 from toile.effects.setting import setting
+from toile.limits import Count, CountOrZero, Fraction, NonNegative, Positive, Unit
 from toile.simulators.base import StepStatus
 from toile.simulators.implicit.integrators import BDF2
 from toile.simulators.implicit.simulator import ImplicitSimulator
@@ -53,28 +56,51 @@ class ShootingSettings:
         force: of each mode of the force per mass while the base is fitted [m/s²].
         external: of those among them that disturb the balance of torques [m/s²]; see force_modes.
         trust: in the image term, whose errors are not independent from point to point; 1 if they were.
+        holding: what a direction must have of the holders' forces not to count as free, see n_balanced.
+        tension_ridge: of the tension that the template has already, see template_tension.
+        newton_tolerance: out-of-balance force over the weight of a vertex that a simulated sub-step leaves:
+            0.01 m/s², far below any discrepancy that is looked at.
         sweeps: ways through the clip, window by window.
         iterations: per window of a sweep.
+        window_steps: lengths of such an iteration's step that are tried.
+        window_shorter: factor from one of them to the next.
+        window_stalled: share of a window's cost that an iteration gains, below which it is the last one.
         passes: over the whole clip at most.
+        longest_stiffness: change of a logarithm of stiffness in one iteration or pass at most: a factor of 2.
+        stalled: share of the cost that a pass gains, below which (with ``nothing``) it is the last one.
+        nothing: log probability beside it.
+        damping: of the steps of passes and refits.
+        tangents: see TangentSettings.
     """
 
-    window: int = 8
-    modes: int = 6
-    force_knot: int = 4
-    anchor_knot: int = 2
-    start_position: float = 0.003
-    start_velocity: float = 0.06
-    jump_position: float = 0.0003
-    jump_velocity: float = 0.006
-    anchor: float = 0.003
-    stiffness: float = 1.0
-    wind: float = 2.0
-    force: float = 0.7
-    external: float = 0.1
-    trust: float = 0.01
-    sweeps: int = 1
-    iterations: int = 4
-    passes: int = 16
+    window: Annotated[Count, Unit("frames")] = 8
+    modes: Count = 6
+    force_knot: Annotated[Count, Unit("frames")] = 4
+    anchor_knot: Annotated[Count, Unit("frames")] = 2
+    start_position: Annotated[Positive, Unit("m")] = 0.003
+    start_velocity: Annotated[Positive, Unit("m/s")] = 0.06
+    jump_position: Annotated[Positive, Unit("m")] = 0.0003
+    jump_velocity: Annotated[Positive, Unit("m/s")] = 0.006
+    anchor: Annotated[Positive, Unit("m")] = 0.003
+    stiffness: Positive = 1.0
+    wind: Annotated[Positive, Unit("m/s²")] = 2.0
+    force: Annotated[Positive, Unit("m/s²")] = 0.7
+    external: Annotated[Positive, Unit("m/s²")] = 0.1
+    trust: Positive = 0.01
+    holding: Positive = SLACK
+    tension_ridge: Positive = RIDGE
+    newton_tolerance: Positive = 1e-3
+    sweeps: Count = 1
+    iterations: CountOrZero = 4
+    window_steps: Count = 5
+    window_shorter: Fraction = 0.35
+    window_stalled: NonNegative = 0.05
+    passes: CountOrZero = 16
+    longest_stiffness: Positive = 0.7
+    stalled: NonNegative = 0.002
+    nothing: NonNegative = 0.5
+    damping: Damping = field(default_factory=Damping)
+    tangents: TangentSettings = field(default_factory=TangentSettings)
 
 
 @dataclass(frozen=True)
@@ -175,7 +201,7 @@ class Shooting:
         self.n_held = len(simulator.cloth.held)
         held = simulator.assembly.held
         size = float(np.linalg.norm(np.ptp(tracked.positions[0], axis=0)))
-        self.n_external = n_balanced(tracked.positions[0][held], size)
+        self.n_external = n_balanced(tracked.positions[0][held], size, settings.holding)
         self._force_fields: dict[tuple[int, int], Array] = {}
 
     # The layout of a window's local unknowns: [start positions | start velocities | anchors | forces].
@@ -410,6 +436,7 @@ class Shooting:
             window.start.past[0].numpy(),
             window.start.steps,
             self.simulator.time_step,
+            self.settings.tangents,
         )
 
         def columns(step: StepForces) -> Columns:

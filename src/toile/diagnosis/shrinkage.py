@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Annotated
 
 import numpy as np
 import torch
@@ -17,17 +18,29 @@ from toile.diagnosis.shooting import Base, WindowMotion
 from toile.diagnosis.workers import ALONE, Workers
 from toile.effects.base import Effect
 from toile.evaluation.diagnosis_record import Shrink
+from toile.limits import Count, Finite, Unit
 
 Array = NDArray[np.float64]
 
 METRIC = "distance to tracked positions [mm]"
 
-# Logarithm that counts for a window in which the solver fails with an effect and not without.
-_FAILED = -1.0
 
-# Neighbouring frames share their error: resampled two at a time.
-_BLOCK = 2
-_RESAMPLINGS = 400
+@dataclass(frozen=True)
+class PredictionSettings:
+    """How predictions with and without an effect are compared.
+
+    Attributes:
+        failed: logarithm that counts for a window in which the solver fails with an effect and not without.
+        block: neighbouring held-out frames that share their error: resampled so many at a time.
+        resamplings: for the interval of a held-out shrink.
+    """
+
+    failed: Finite = -1.0
+    block: Annotated[Count, Unit("frames")] = 2
+    resamplings: Count = 400
+
+
+DEFAULT = PredictionSettings()
 
 
 @dataclass(frozen=True)
@@ -59,6 +72,7 @@ def held_out_shrinks(
     horizon: int,
     n_placebos: int,
     seed: int,
+    settings: PredictionSettings = DEFAULT,
 ) -> HeldOut:
     """Open rollouts over the frames after the fitted ones, with and without effects.
 
@@ -73,6 +87,7 @@ def held_out_shrinks(
         horizon: held-out frames at most.
         n_placebos: force fields without meaning, see best_placebo.
         seed: of placebos and resampling.
+        settings: see PredictionSettings.
     """
     around = mechanics.around
     first = used - 1
@@ -106,7 +121,7 @@ def held_out_shrinks(
             continue
         positions[name] = better.positions
         total = float(1 - better.errors.mean() / without.errors.mean())
-        low, high = _interval(without.errors, better.errors, seed)
+        low, high = _interval(without.errors, better.errors, seed, settings)
         found[name] = Shrink(
             METRIC,
             f"frames {first + 1} to {last}",
@@ -161,7 +176,11 @@ def best_placebo(
 
 
 def prediction_gains(
-    mechanics: Mechanics, base: Refit, refits: Mapping[str, Refit], workers: Workers = ALONE
+    mechanics: Mechanics,
+    base: Refit,
+    refits: Mapping[str, Refit],
+    workers: Workers = ALONE,
+    settings: PredictionSettings = DEFAULT,
 ) -> dict[str, float]:
     """Log of how much better a window is foretold from the end of the one before, summed over fitted windows.
 
@@ -173,6 +192,7 @@ def prediction_gains(
         base: the base model at its best.
         refits: effects that move the cloth, by name.
         workers: share the models.
+        settings: see PredictionSettings.
     """
     shooting, around = mechanics.shooting, mechanics.around
 
@@ -200,16 +220,16 @@ def prediction_gains(
     gains = {}
     for name, found in zip(refits, others, strict=True):
         ratio = np.log(without / found)
-        gains[name] = float(np.nansum(np.where(np.isnan(ratio), _FAILED, ratio)))
+        gains[name] = float(np.nansum(np.where(np.isnan(ratio), settings.failed, ratio)))
     return gains
 
 
-def _interval(base: Array, better: Array, seed: int) -> tuple[float, float]:
+def _interval(base: Array, better: Array, seed: int, settings: PredictionSettings) -> tuple[float, float]:
     """90 % interval of the shrink by resampling blocks of frames."""
     rng = np.random.default_rng(seed)
-    blocks = np.array_split(np.arange(len(base)), max(1, len(base) // _BLOCK))
+    blocks = np.array_split(np.arange(len(base)), max(1, len(base) // settings.block))
     draws = []
-    for _ in range(_RESAMPLINGS):
+    for _ in range(settings.resamplings):
         index = np.concatenate([blocks[i] for i in rng.integers(len(blocks), size=len(blocks))])
         draws.append(1 - better[index].mean() / base[index].mean())
     low, high = np.quantile(draws, (0.05, 0.95))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -32,11 +32,25 @@ class StageTime:
 
 
 class StageTimes:
-    """Clock of the stages of one run; the same stage may come several times, and its times add up."""
+    """Clock of the stages of one run; the same stage may come several times, and its times add up.
 
-    def __init__(self) -> None:
+    Args:
+        earlier: what stages took in an earlier run in the same folder.
+    """
+
+    def __init__(self, earlier: Mapping[str, StageTime] | None = None) -> None:
+        self._earlier = dict(earlier or {})
         self._seconds: dict[str, tuple[float, float]] = {}
         self._cached: set[str] = set()
+
+    @classmethod
+    def going_on(cls, path: Path) -> StageTimes:
+        """The clock of a run whose folder may hold the times of an interrupted one.
+
+        Raises:
+            InputError: the file that is there cannot be understood.
+        """
+        return cls(read_times(path) if path.is_file() else None)
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
@@ -59,20 +73,17 @@ class StageTimes:
         self._cached.add(name)
 
     def write(self, path: Path) -> Path:
-        """Write all; for cached ones the file that is there knows what they took.
-
-        Raises:
-            InputError: the file that is there cannot be understood.
-        """
-        earlier = read_times(path) if path.is_file() else {}
+        """Write all: for cached ones what they took when made, and what is known of those to come."""
         unknown = StageTime(None, None)
         stages = {}
         for name, (wall, cpu) in self._seconds.items():
             if name in self._cached:
-                made = earlier.get(name, unknown)
+                made = self._earlier.get(name, unknown)
                 stages[name] = StageTime(made.wall, made.cpu, cached=True)
             else:
                 stages[name] = StageTime(wall, cpu)
+        # Another interruption must not lose them.
+        stages.update({name: taken for name, taken in self._earlier.items() if name not in stages})
         values = {name: asdict(taken) for name, taken in stages.items()}
         return write_text(path, json.dumps({"stages": values}, indent=1) + "\n")
 

@@ -21,8 +21,8 @@ from toile.simulators.step_terms import Elements, ElementTerm, StepContext
 
 Array = NDArray[np.float64]
 
-# Tension [N] counts as much as this times as much out-of-balance force: rather a small one than a wild one.
-_RIDGE = 0.003
+RIDGE = 0.003
+"""See template_tension."""
 
 
 class TemplateTension(ElementTerm):
@@ -53,7 +53,9 @@ class TemplateTension(ElementTerm):
         return force
 
 
-def template_tension(cloth: Cloth, template: Array, gravity: Array, horizontal: Array) -> TemplateTension:
+def template_tension(
+    cloth: Cloth, template: Array, gravity: Array, horizontal: Array, ridge: float = RIDGE
+) -> TemplateTension:
     """Tensions that balance the template's weight as well as they can; none is negative.
 
     What shearing, bending and a constant wind do to the balance is found with them.
@@ -63,6 +65,8 @@ def template_tension(cloth: Cloth, template: Array, gravity: Array, horizontal: 
         template: positions at rest (N, 3) [m].
         gravity: (3,) [m/s²].
         horizontal: directions of a wind (2, 3).
+        ridge: out-of-balance force that counts as much as a tension of one [1]: rather a small tension than a
+            wild one.
     """
     masses = cloth.masses.numpy()
     assembly = Assembly(
@@ -85,7 +89,7 @@ def template_tension(cloth: Cloth, template: Array, gravity: Array, horizontal: 
     # Columns of similar size: the others are charged for nothing.
     beside /= np.maximum(np.linalg.norm(beside, axis=(0, 1)), 1e-300)
     system = np.concatenate((pulls, beside), -1)[free].reshape(-1, n + beside.shape[-1])
-    ridge = np.eye(n, system.shape[1]) * _RIDGE
+    charged = np.eye(n, system.shape[1]) * ridge
     weight = -(masses[:, None] * gravity)[free].reshape(-1)
-    found, _ = nnls(np.concatenate((system, ridge)), np.concatenate((weight, np.zeros(n))))
+    found, _ = nnls(np.concatenate((system, charged)), np.concatenate((weight, np.zeros(n))))
     return TemplateTension(np.asarray(found[:n], np.float64))

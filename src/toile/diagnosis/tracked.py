@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from pydantic import Field
 from scipy import sparse
 
 from toile.diagnosis.model_grid import ModelGrid
 from toile.fitting.gauss_newton.recipe import SlidingWindows, Stage, TrackingRecipe, Windows, visible
-from toile.fitting.lost_cloth import first_lost, outline_overlap
+from toile.fitting.lost_cloth import LEAST, first_lost, outline_overlap
 from toile.fitting.reconstruction import Reconstruction
 from toile.fitting.terms.image_features import contrast_features
 from toile.fitting.terms.texture_points import PointTermSettings, TexturePointTerm, grid_points
+from toile.limits import Count, NonNegative, Positive, Unit
 
 Array = NDArray[np.float64]
 Single = NDArray[np.float32]
@@ -67,11 +70,11 @@ class CoarseTracking:
             long as the fine pass loses the cloth.
     """
 
-    blur: float = 10.0
-    per_side: int = 32
-    cg_iterations: int = 15
-    fine_stride: int = 2
-    mask_factors: tuple[float, ...] = (1.0, 10.0)
+    blur: Annotated[NonNegative, Unit("px")] = 10.0
+    per_side: Count = 32
+    cg_iterations: Count = 15
+    fine_stride: Annotated[Count, Unit("frames")] = 2
+    mask_factors: Annotated[tuple[Positive, ...], Field(min_length=1)] = (1.0, 10.0)
 
 
 class StopAt(Windows):
@@ -103,6 +106,7 @@ def track(
     coarse: CoarseTracking | None,
     used: int,
     report: Callable[[int, float], None],
+    least_overlap: float = LEAST,
 ) -> Array:
     """Track the motion; where the cloth is lost, once more with a heavier silhouette in the first pass.
 
@@ -115,6 +119,7 @@ def track(
         coarse: see track_once.
         used: see track_once.
         report: see track_once.
+        least_overlap: of an outline that is not lost, see first_lost.
     """
     start = {name: value.clone() for name, value in reconstruction.parameters.state_dict().items()}
     best: Array | None = None
@@ -122,7 +127,7 @@ def track(
     for factor in (1.0,) if coarse is None else coarse.mask_factors:
         reconstruction.parameters.load_state_dict(start)
         positions = track_once(reconstruction, recipe, coarse, used, report, factor)
-        kept = min(first_lost(outline_overlap(reconstruction, positions)), used)
+        kept = min(first_lost(outline_overlap(reconstruction, positions), least_overlap), used)
         if kept > longest:
             best, longest = positions, kept
         if kept == used:

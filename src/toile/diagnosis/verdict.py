@@ -3,19 +3,43 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Annotated
+
+from pydantic import Field
 
 from toile.diagnosis.decision import NONE, UNKNOWN, Calibration, confidence_set
 from toile.diagnosis.recordings import next_recording
 from toile.effects.base import Stage
 from toile.effects.catalogue import STAGES
 from toile.evaluation.diagnosis_record import AMBIGUOUS, Shrink, Verdict
+from toile.limits import Fraction, NonNegative
 
 
-def is_clear(found: Mapping[str, float]) -> bool:
+@dataclass(frozen=True)
+class VerdictSettings:
+    """When an answer is given.
+
+    Attributes:
+        level: probability that the candidates hold together.
+        likely: probability from which on the most probable hypothesis can be the answer.
+        ahead: how many times as probable as the second one it must be.
+        beside: score over the calibrated threshold from which on an effect of another stage acts beside it.
+    """
+
+    level: Annotated[float, Field(gt=0, le=1)] = 0.9
+    likely: Fraction = 0.5
+    ahead: Annotated[float, Field(ge=1, allow_inf_nan=False)] = 3.0
+    beside: NonNegative = 2.0
+
+
+DEFAULT = VerdictSettings()
+
+
+def is_clear(found: Mapping[str, float], settings: VerdictSettings = DEFAULT) -> bool:
     """Whether the most probable hypothesis is the answer: at least as likely as not, and far ahead."""
     first, second = (*sorted(found.values(), reverse=True), 0.0)[:2]
-    return first >= _LIKELY and first >= _AHEAD * second
+    return first >= settings.likely and first >= settings.ahead * second
 
 
 def verdict_of(
@@ -25,6 +49,7 @@ def verdict_of(
     shrinks: Mapping[str, Shrink],
     *,
     explained: bool = True,
+    settings: VerdictSettings = DEFAULT,
 ) -> Verdict:
     """The verdict from probabilities, most probable first, and the evidence they come from.
 
@@ -34,11 +59,12 @@ def verdict_of(
         calibration: see Calibration.
         shrinks: of held-out errors, by effect.
         explained: whether the best model leaves no more of the images than a right one does.
+        settings: see VerdictSettings.
     """
-    candidates = confidence_set(found)
+    candidates = confidence_set(found, settings.level)
     first = candidates[0]
     also = None
-    clear = is_clear(found)
+    clear = is_clear(found, settings)
     if clear and first != NONE:
         # Another stage leaves a trace of its own: both act. What is unknown is missing in the motion.
         own = STAGES.get(first, Stage.MECHANICS)
@@ -46,7 +72,7 @@ def verdict_of(
             name: calibration.score(name, value) for name, value in evidence.items() if STAGES[name] != own
         }
         strongest = max(others, key=lambda name: others[name], default=None)
-        if strongest is not None and others[strongest] > 2 * calibration.threshold:
+        if strongest is not None and others[strongest] > settings.beside * calibration.threshold:
             also = strongest
     if not clear:
         stages = {STAGES[c].value for c in candidates if c in STAGES}
@@ -93,5 +119,3 @@ def until(verdict: Verdict, frame: int) -> Verdict:
 
 # Candidates that a sentence holds.
 _LISTED = 4
-_LIKELY = 0.5
-_AHEAD = 3.0

@@ -17,8 +17,8 @@ catalogue. These have one:
 Other laws altogether, with no common number: ``air_drag`` (|v|^1.5 instead of linear and quadratic),
 ``gusts`` (noise and pulses instead of cosines), ``strain_stiffening`` (exponential instead of quadratic),
 ``nonuniform_density`` and ``nonuniform_stiffness`` (patches instead of cosines), ``contact`` (depth instead
-of stiffness). For them, how far they move the cloth is compared where the diagnosis says it
-(EffectReport.gap).
+of stiffness). Their magnitudes are not marked: a diagnosis does not say how far an effect moves the cloth
+over the whole clip.
 """
 
 from __future__ import annotations
@@ -69,15 +69,8 @@ def comparisons(effect: EffectReport, sealed: Sealed) -> tuple[Comparison, ...]:
         effect: the true effect as the diagnosis reports it.
         sealed: the open label.
     """
-    label = sealed.label
     found = tuple(_compared(effect, names, truth) for names, truth in _truths(effect.name, sealed).items())
-    if any(found):
-        return tuple(c for c in found if c is not None)
-    alone = label["magnitude"].get("alone", {}).get(effect.name, {})
-    if effect.gap is not None and alone.get("measure") == "motion" and alone["value"] > 0:
-        gap = effect.gap
-        return (Comparison("gap", float(alone["value"]), gap.estimate, gap.low, gap.high, 1.0, gap.unit),)
-    return ()
+    return tuple(c for c in found if c is not None)
 
 
 def relative_error(found: tuple[Comparison, ...]) -> float:

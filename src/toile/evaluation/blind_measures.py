@@ -210,20 +210,12 @@ def measures() -> tuple[Measure, ...]:
             0.80,
             proportion=False,
         ),
-        Measure(
-            "shrink against oracle, median",
-            "≥ 0.85",
-            single,
-            median("shrink_of_oracle"),
-            0.85,
-            proportion=False,
-        ),
         Measure("scenes improved", "≥ 0.95", single, mean("improved"), 0.95),
         Measure(
             "best placebo's shrink, median",
             "≤ 0.15",
             single,
-            median("placebo_of_oracle"),
+            median("placebo_of_true"),
             at_most=0.15,
             proportion=False,
         ),
@@ -430,18 +422,15 @@ def _shrink(report: GapReport, verdict: Verdict, truth: str) -> dict[str, Any]:
     true = report.effect(truth)
     if true is None or true.shrink is None:
         return marks
-    base = true.shrink.base
-    oracle = true.shrink.with_effect if true.shrink.oracle is None else true.shrink.oracle
+    base, saved = true.shrink.base, true.shrink.base - true.shrink.with_effect
     marks["shrink_true"] = true.shrink.estimate
-    # Where no effect could have helped, no share of that help means anything.
-    if base - oracle > 1e-3 * base:
-        share = base / (base - oracle)
+    # Where the true effect does not help, no share of that help means anything.
+    if saved > 1e-3 * base:
         answered = report.effect(verdict.effect)
         helped = 0.0 if answered is None or answered.shrink is None else answered.shrink.estimate
-        marks["shrink_of_oracle"] = helped * share
         marks["improved"] = helped > 0
         if placebos:
-            marks["placebo_of_oracle"] = max(placebos) * share
+            marks["placebo_of_true"] = max(placebos) * base / saved
     return marks
 
 

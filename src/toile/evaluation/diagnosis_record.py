@@ -2,15 +2,20 @@
 
 Keys of the file:
 
+- ``format``: 2. Files without it are of the first format, and are read as well. They may have ``oracle`` in
+  ``shrink`` and ``gap`` in ``effects``, which no diagnosis has ever filled (they ask for the truth, and for a
+  simulation that a diagnosis does not do); both are dropped.
 - ``verdict``: ``effect`` (a catalogue name, ``none``, ``ambiguous`` or ``unknown``), ``candidates``,
   ``stage``, ``probability``, ``reason``, ``next_recording``
 - ``where``: ``stages`` {name: share}, ``frames`` [score], ``vertices`` (path of an (H, W) array beside the
   file), ``regimes`` {name: score}
 - ``effects``: [{``name``, ``stage``, ``probability``, ``parameters`` {name: {``estimate``, ``low``, ``high``,
   ``unit``}}, ``shrink`` {``metric``, ``held_out``, ``base``, ``with_effect``, ``estimate``, ``low``,
-  ``high``, ``best_placebo``, ``oracle``}, ``gap``}], most probable first
+  ``high``, ``best_placebo``}}], most probable first
 - ``alias``: ``names``, ``matrix``, ``detection_limits`` {name: number}
 - ``protocol``: ``seed``, ``frames_used``, ``frames_held_out``, ``version``, ``naive``
+- ``calibration``: ``calibrated``, ``file``, ``settings``, ``made_for``, ``differences`` [text]
+- ``warnings``: [text], what is remarkable about the scene
 
 Numbers that do not exist are null. Keys that are not listed are refused: a typing error must not pass for a
 missing answer.
@@ -30,6 +35,9 @@ from toile.errors import InputError
 from toile.json_file import read_json_object
 
 DIAGNOSIS_FILE = "diagnosis.json"
+
+FORMAT = 2
+"""Of what is written; older ones are read."""
 
 NONE = "none"
 """Verdict: the base model explains the clip."""
@@ -65,7 +73,6 @@ class Shrink:
         with_effect: error with the effect.
         estimate, low, high: (base - with_effect) / base and its interval.
         best_placebo: the same share for the best placebo, None where none was run.
-        oracle: error of the true effect through the same fitter, None where the truth is unknown.
     """
 
     metric: str
@@ -76,7 +83,6 @@ class Shrink:
     low: float
     high: float
     best_placebo: float | None = None
-    oracle: float | None = None
 
 
 @dataclass(frozen=True)
@@ -89,9 +95,6 @@ class EffectReport:
         probability: that this effect is what the model lacks.
         parameters: estimates by name.
         shrink: None where the candidate was not refitted.
-        gap: how far the effect at its estimate moves the cloth, mean over vertices and the last third of the
-            frames, in % of the cloth's width (0 for effects that move nothing). The common measure of
-            magnitude for realities whose parameters are not the catalogue's. None where not computed.
     """
 
     name: str
@@ -99,7 +102,6 @@ class EffectReport:
     probability: float
     parameters: dict[str, Estimate] = field(default_factory=dict)
     shrink: Shrink | None = None
-    gap: Estimate | None = None
 
 
 @dataclass(frozen=True)
@@ -194,14 +196,41 @@ class Protocol:
 
 
 @dataclass(frozen=True)
+class CalibrationUse:
+    """Whether the probabilities are calibrated for the settings that the diagnosis was made with.
+
+    Attributes:
+        calibrated: whether the calibration belongs to these settings.
+        file: that it comes from, "" for the package's own.
+        settings: digest of the diagnosis' settings that matter, "" if they are not known.
+        made_for: digest of those that the calibration belongs to, "" if it does not say so.
+        differences: what is set otherwise, one line each.
+    """
+
+    calibrated: bool
+    file: str
+    settings: str
+    made_for: str
+    differences: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class GapReport:
-    """The whole of ``diagnosis.json``."""
+    """The whole of ``diagnosis.json``.
+
+    Attributes:
+        verdict, where, effects, alias, protocol: see there.
+        calibration: None in files of before that do not say it.
+        warnings: what is remarkable about the scene, one sentence each.
+    """
 
     verdict: Verdict
     where: Where
     effects: tuple[EffectReport, ...]
     alias: Alias
     protocol: Protocol
+    calibration: CalibrationUse | None = None
+    warnings: tuple[str, ...] = ()
 
     def effect(self, name: str) -> EffectReport | None:
         """The report on one candidate, None if it is not listed."""
@@ -209,7 +238,7 @@ class GapReport:
 
     def to_json(self) -> dict[str, Any]:
         """JSON values; effects in order of falling probability."""
-        values: dict[str, Any] = json.loads(json.dumps(asdict(self)))
+        values: dict[str, Any] = {"format": FORMAT, **json.loads(json.dumps(asdict(self)))}
         values["effects"].sort(key=lambda effect: -effect["probability"])
         return values
 
@@ -223,15 +252,21 @@ class GapReport:
 
         Raises:
             InputError: a key is missing, unknown or of the wrong kind, a number is not finite, a probability
-                is not in [0, 1], an interval does not hold its estimate, or the matrix does not fit.
+                is not in [0, 1], an interval does not hold its estimate, the matrix does not fit, or the
+                format is of a later version.
         """
         top = _Reader(values, where)
+        kind = top.whole("format") if "format" in top else 1
+        if not 1 <= kind <= FORMAT:
+            raise _wrong(top.at("format"), f"a format up to {FORMAT}", kind)
         report = cls(
             verdict=_verdict(top.part("verdict")),
             where=_where(top.part("where")),
-            effects=tuple(_effect(part) for part in top.parts("effects")),
+            effects=tuple(_effect(part, kind) for part in top.parts("effects")),
             alias=_alias(top.part("alias")),
             protocol=_protocol(top.part("protocol")),
+            calibration=_calibration(top.optional_part("calibration")),
+            warnings=top.texts("warnings") if "warnings" in top else (),
         )
         top.done()
         return report
@@ -279,6 +314,9 @@ class _Reader:
                 got=f"keys {', '.join(self._values) or 'none'}",
             )
         return self._values.get(key)
+
+    def __contains__(self, key: str) -> bool:
+        return key in self._values
 
     def at(self, key: str) -> str:
         return f"{self._where}: {key}"
@@ -377,15 +415,16 @@ def _where(part: _Reader) -> Where:
     return where
 
 
-def _effect(part: _Reader) -> EffectReport:
-    shrink, gap = part.optional_part("shrink"), part.optional_part("gap")
+def _effect(part: _Reader, kind: int) -> EffectReport:
+    shrink = part.optional_part("shrink")
+    if kind == 1:
+        part.take("gap", optional=True)
     effect = EffectReport(
         name=part.text("name"),
         stage=part.text("stage"),
         probability=part.probability("probability"),
         parameters=part.table("parameters", lambda value, where: _estimate(_Reader(value, where))),
-        shrink=None if shrink is None else _shrink(shrink),
-        gap=None if gap is None else _estimate(gap),
+        shrink=None if shrink is None else _shrink(shrink, kind),
     )
     part.done()
     return effect
@@ -398,7 +437,9 @@ def _estimate(part: _Reader) -> Estimate:
     return estimate
 
 
-def _shrink(part: _Reader) -> Shrink:
+def _shrink(part: _Reader, kind: int) -> Shrink:
+    if kind == 1:
+        part.take("oracle", optional=True)
     shrink = Shrink(
         metric=part.text("metric"),
         held_out=part.text("held_out"),
@@ -408,7 +449,6 @@ def _shrink(part: _Reader) -> Shrink:
         low=part.number("low"),
         high=part.number("high"),
         best_placebo=part.optional_number("best_placebo"),
-        oracle=part.optional_number("oracle"),
     )
     part.done()
     _check_interval(part.at("estimate"), shrink.low, shrink.estimate, shrink.high)
@@ -439,6 +479,23 @@ def _protocol(part: _Reader) -> Protocol:
     )
     part.done()
     return protocol
+
+
+def _calibration(part: _Reader | None) -> CalibrationUse | None:
+    if part is None:
+        return None
+    calibrated = part.take("calibrated")
+    if not isinstance(calibrated, bool):
+        raise _wrong(part.at("calibrated"), "true or false", calibrated)
+    use = CalibrationUse(
+        calibrated=calibrated,
+        file=part.text("file"),
+        settings=part.text("settings"),
+        made_for=part.text("made_for"),
+        differences=part.texts("differences"),
+    )
+    part.done()
+    return use
 
 
 def _check_interval(where: str, low: float, estimate: float, high: float) -> None:

@@ -14,13 +14,12 @@ from numpy.typing import NDArray
 
 from toile.evaluation.silhouette import intersection_over_union
 from toile.fitting.reconstruction import Reconstruction
-from toile.limits import Positive
+from toile.limits import Fraction, Positive
 
 Array = NDArray[np.float64]
 
-# Share of frame 0's overlap. A wrong camera or mask lowers it in all frames alike; a tracked cloth that has
-# folded over, or slipped by a print's period, lowers it later.
-_LEAST = 0.9
+LEAST = 0.9
+"""See first_lost."""
 
 
 def outline_overlap(reconstruction: Reconstruction, positions: Array) -> Array:
@@ -33,9 +32,15 @@ def outline_overlap(reconstruction: Reconstruction, positions: Array) -> Array:
     return overlap
 
 
-def first_lost(overlap: Array) -> int:
-    """First frame whose outline overlaps far less than that of frame 0; the number of frames if none does."""
-    lost = np.flatnonzero(overlap < _LEAST * overlap[0])
+def first_lost(overlap: Array, least: float = LEAST) -> int:
+    """First frame whose outline overlaps far less than that of frame 0; the number of frames if none does.
+
+    Args:
+        overlap: of every frame (F,).
+        least: share of frame 0's overlap. A wrong camera or mask lowers it in all frames alike; a tracked
+            cloth that has folded over, or slipped by a print's period, lowers it later.
+    """
+    lost = np.flatnonzero(overlap < least * overlap[0])
     return int(lost[0]) if len(lost) else len(overlap)
 
 
@@ -46,10 +51,13 @@ class LostClothGuard:
     Attributes:
         mask_factor: by how much the silhouette weighs more in the first stage of a second try; None: there is
             no second try, and what is lost is only said.
+        least_overlap: of outline and mask, as a share of frame 0's; with less the cloth is lost.
     """
 
     mask_factor: Positive | None = 10.0
+    least_overlap: Fraction = LEAST
 
     def first_lost(self, reconstruction: Reconstruction, trajectory: torch.Tensor) -> int:
         """First frame of a trajectory (F, H, W, 3) [m] in which the cloth is lost, or F."""
-        return first_lost(outline_overlap(reconstruction, trajectory.flatten(1, 2).numpy()))
+        overlap = outline_overlap(reconstruction, trajectory.flatten(1, 2).numpy())
+        return first_lost(overlap, self.least_overlap)

@@ -19,9 +19,11 @@ from toile.reports.dashboard import table
 from toile.reports.diagnosis_arrays import DiagnosisArrays
 from toile.reports.diagnosis_wording import (
     answer,
+    calibration_caveat,
     certainty,
     change,
     frame_ranges,
+    mark,
     percent,
     plain_name,
     shrinkage,
@@ -92,6 +94,8 @@ def answer_text(report: GapReport) -> str:
         parts.append(f"**Record next:** {_plain(verdict.next_recording)}")
     if verdict.reason:
         parts.append(f"*{_plain(verdict.reason)}*")
+    if caveat := calibration_caveat(report):
+        parts.append(f"*{_plain(caveat)}*")
     naive = plain_name(report.protocol.naive) if report.protocol.naive else "unknown"
     rows = [
         ("frames used", frame_ranges(report.protocol.frames_used)),
@@ -109,7 +113,7 @@ def ranking_table(report: GapReport) -> str:
         (plain_name(e.name), e.stage, percent(e.probability), _estimates(e), _shrink(e))
         for e in sorted(report.effects, key=lambda e: -e.probability)
     ]
-    return table(("effect", "stage", "probability", "estimates", "held-out error"), rows)
+    return table(("effect", "stage", f"probability{mark(report)}", "estimates", "held-out error"), rows)
 
 
 def limits_table(alias: Alias) -> str:

@@ -22,6 +22,8 @@ _SPOKEN = {
 """Names that would not read well in a sentence."""
 _NAMED = 3
 """Candidates that a headline names."""
+_DIFFERENCES = 3
+"""Settings that a caveat names."""
 STAGES = {
     Stage.NUMERICS.value: "solver and time step",
     Stage.ACTUATION.value: "held vertices, gusts",
@@ -76,6 +78,30 @@ def change_between(low: float, high: float) -> str:
     return "" if ends[0] == ends[1] else " to ".join(signed)
 
 
+def is_uncalibrated(report: GapReport) -> bool:
+    """Whether the report says that its probabilities were not calibrated for its settings."""
+    return report.calibration is not None and not report.calibration.calibrated
+
+
+def mark(report: GapReport) -> str:
+    """What follows a probability: nothing, or that it is uncalibrated."""
+    return ", uncalibrated" if is_uncalibrated(report) else ""
+
+
+def calibration_caveat(report: GapReport) -> str:
+    """What the probabilities of an uncalibrated diagnosis are worth, "" for a calibrated one."""
+    use = report.calibration
+    if use is None or use.calibrated:
+        return ""
+    shown = "; ".join(use.differences[:_DIFFERENCES])
+    more = len(use.differences) - _DIFFERENCES
+    others = f"; and {more} more" if more > 0 else ""
+    return (
+        "Uncalibrated: no scenes with known effects were diagnosed with these settings, so the probabilities "
+        f"only rank the candidates. ({shown}{others}.)"
+    )
+
+
 def answer(report: GapReport) -> str:
     """The answer in one sentence."""
     verdict = report.verdict
@@ -100,7 +126,7 @@ def answer(report: GapReport) -> str:
 def certainty(report: GapReport) -> str:
     """How sure the answer is, and where along the way from forces to pixels it lies."""
     verdict = report.verdict
-    probability = percent(verdict.probability)
+    probability = f"{percent(verdict.probability)}{' (uncalibrated)' if is_uncalibrated(report) else ''}"
     stage = f"It acts in the {verdict.stage} stage." if verdict.stage in STAGES else ""
     others = [spoken(c) for c in verdict.candidates if c != verdict.effect]
     excluded = f" Not excluded: {listed(others, 'and')}." if others else ""

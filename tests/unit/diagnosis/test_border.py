@@ -9,7 +9,7 @@ import pytest
 import torch
 from scipy.ndimage import binary_dilation, binary_erosion, distance_transform_edt, gaussian_filter
 
-from toile.diagnosis.border import border, border_evidence
+from toile.diagnosis.border import BorderSettings, border, border_evidence
 from toile.effects.catalogue import CATALOGUE
 from toile.generation.generator import GeneratorSettings, generate
 from toile.generation.textures import procedural_texture
@@ -97,3 +97,19 @@ def test_a_lens_many_prior_deviations_from_none(scene: Scene) -> None:
     masks = torch.from_numpy(mask).float()
     found = evidence(replace(scene, masks=masks[None].expand_as(scene.masks)))
     assert max(found, key=lambda name: found[name]) == "lens_distortion"
+
+
+def test_the_outline_is_judged_by_the_settings(scene: Scene) -> None:
+    fine, coarse = (border(scene, BorderSettings(correlation=length, fewest=1.0)) for length in (40.0, 80.0))
+    assert coarse.independent == pytest.approx(0.5 * fine.independent)
+    assert border(scene, BorderSettings(fewest=50.0)).independent == 50.0
+    camera = replace(scene.camera, fx=scene.camera.fx / 1.06, fy=scene.camera.fy / 1.06)
+    wrong = replace(scene, camera=camera)
+    outline, effect = border(wrong), CATALOGUE["focal_error"]()
+    # Three times the prior deviation is wanted here; without the choice nothing is charged for it.
+    fits = {
+        strengths: border_evidence(effect, wrong, outline, BorderSettings(strengths=strengths))
+        for strengths in ((1.0,), (1.0, 3.0, 10.0), (3.0,))
+    }
+    assert fits[3.0,].log_evidence == pytest.approx(fits[1.0, 3.0, 10.0].log_evidence + np.log(3))
+    assert fits[1.0,].log_evidence != fits[3.0,].log_evidence

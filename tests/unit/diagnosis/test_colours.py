@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from toile.diagnosis.colours import Colours, brightness_evidence
+from toile.diagnosis.colours import Colours, ColourSettings, brightness_evidence
 from toile.effects.catalogue import CATALOGUE
 
 F, P = 20, 64
@@ -57,3 +57,18 @@ def test_frames_whose_tracking_is_lost_do_not_decide() -> None:
     # The very same in all frames is light.
     lit = still + (normals - normals[:1])[..., 0]
     assert brightness_evidence(CATALOGUE["shading"](), seen(lit, normals)).log_evidence > 20
+
+
+def test_light_is_as_sure_as_the_settings_say() -> None:
+    normals = turning()
+    light = np.array([0.6, -0.3, -0.74])
+    lit = 0.3 + 0.7 * np.clip(normals @ light, 0, None)
+    noise = np.random.default_rng(1).normal(0, 0.01, (F, P))
+    shown = seen(np.log(lit / lit[0]) + noise, normals)
+
+    def gain(**settings: float) -> float:
+        return brightness_evidence(CATALOGUE["shading"](), shown, ColourSettings(**settings)).log_evidence
+
+    # Frames that share less of their error say more, brightness that is known worse says less.
+    assert gain(shared_error=2.0) > 2 * gain()
+    assert gain(noise=0.2) < 0.5 * gain()

@@ -13,8 +13,9 @@ from toile.diagnosis.decision import (
     probabilities,
     tempered,
 )
+from toile.diagnosis.findings import Finding, estimates
 from toile.diagnosis.recordings import next_recording
-from toile.diagnosis.verdict import until, verdict_of
+from toile.diagnosis.verdict import VerdictSettings, until, verdict_of
 from toile.effects.catalogue import CATALOGUE
 from toile.evaluation.diagnosis_record import AMBIGUOUS
 
@@ -137,3 +138,31 @@ def test_a_clip_that_nothing_explains_says_less_of_effects() -> None:
     # A cost below zero is as good as any, and what speaks against an effect stays.
     assert tempered(30.0, -20.0, 15.0) == 30.0
     assert tempered(-8.0, 90.0, 15.0) == -8.0
+
+
+def test_an_answer_is_given_when_the_settings_say() -> None:
+    found = {"air_drag": 0.62, "gusts": 0.3, NONE: 0.08}
+
+    def answer(**settings: float):
+        return verdict_of(found, {}, CALIBRATION, {}, settings=VerdictSettings(**settings))
+
+    assert answer().effect == AMBIGUOUS
+    assert answer(ahead=2.0).effect == "air_drag"
+    assert answer(ahead=2.0, likely=0.7).effect == AMBIGUOUS
+    assert answer().candidates == ("air_drag", "gusts")
+    assert answer(level=0.95).candidates == ("air_drag", "gusts", NONE)
+    both = {"air_drag": 40.0, "mask_bias": 25.0}
+    chances = probabilities(both, CALIBRATION)
+    # 25 deviations are more than two times the threshold of 4, and less than seven times.
+    assert verdict_of(chances, both, CALIBRATION, {}).also == "mask_bias"
+    assert verdict_of(chances, both, CALIBRATION, {}, settings=VerdictSettings(beside=7.0)).also is None
+
+
+def test_intervals_are_as_wide_as_the_settings_say() -> None:
+    effect = CATALOGUE["gravity_tilt"]()
+    name = effect.parameters[0].name
+    numbers = {p.name: 0.0 for p in effect.parameters}
+    found = Finding(0.0, numbers, {p.name: 1e-3 for p in effect.parameters})
+    narrow, wide = (estimates(found, effect, widened)[name] for widened in (1.0, 3.0))
+    assert wide.high - wide.low == pytest.approx(3 * (narrow.high - narrow.low))
+    assert narrow.high == pytest.approx(1.645e-3)

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from toile.diagnosis import evidence as tried
 from toile.diagnosis.continuity import Discrepancy, WindowSystem
-from toile.diagnosis.evidence import Evidence
+from toile.diagnosis.evidence import DEFAULT, Evidence, EvidenceSettings
 
 INTERNAL = np.array([False, False, False, True, False])
 EXTERNAL = np.array([False, False, False, False, True])
@@ -35,7 +34,7 @@ def problem(seed: int, true: float):
 def test_differences_are_those_of_the_marginal_likelihood(columns: tuple[int, ...]) -> None:
     systems, jacobians, data = problem(0, 0.5)
     deviations = np.array([1.0, 2.0])
-    evidence = Evidence(systems, np.zeros(2), deviations, slack=1.5)
+    evidence = Evidence(systems, np.zeros(2), deviations, EvidenceSettings(slack=1.5))
 
     def exact(chosen: tuple[int, ...]) -> float:
         shared = [0, 1, *(2 + c for c in chosen)]
@@ -74,17 +73,30 @@ def test_an_effect_of_impossible_sign_does_not_win() -> None:
 
 @pytest.mark.parametrize("kind", [0, 1])
 def test_where_forces_are_missing_the_discrepancy_grows(kind: int) -> None:
-    """Of the kind that is missing."""
-    systems, jacobians, data = problem(2, 0.0)
-    quiet = Evidence(systems, np.zeros(2), np.ones(2)).posterior(()).discrepancy
-    missing = [
-        replace(s, gradient=s.gradient - J.T @ (J[:, 7 + kind] * 3.0))
-        for s, J in zip(systems, jacobians, strict=True)
-    ]
-    assert Evidence(missing, np.zeros(2), np.ones(2)).posterior(()).discrepancy[kind] > quiet[kind]
-    assert quiet.internal in tried.INTERNAL
-    assert quiet.external in tried.EXTERNAL
-    assert len(data) == 2
+    """That of the kind that is missing, to the size of what is; the other one stays as small as it was."""
+    systems, jacobians, _ = problem(2, 0.0)
+    little = Discrepancy(DEFAULT.internal[0], DEFAULT.external[0])
+
+    def judged(force: float) -> tuple[Discrepancy, float]:
+        """Discrepancy with a force [m/s²] in both windows, and what it gains over one that is kept little."""
+        missing = [
+            replace(s, gradient=s.gradient - J.T @ (J[:, 7 + kind] * force))
+            for s, J in zip(systems, jacobians, strict=True)
+        ]
+        evidence = Evidence(missing, np.zeros(2), np.ones(2))
+        best = evidence.posterior(())
+        return best.discrepancy, best.log_evidence - evidence.posterior((), little).log_evidence
+
+    quiet, gained = judged(0.0)
+    assert quiet == little
+    assert gained == pytest.approx(0.0, abs=1e-9)
+    for force in (1.0, -1.0):
+        size, gained = judged(force)
+        assert 0.5 < size[kind] < 2.0
+        assert size[1 - kind] == quiet[1 - kind]
+        assert gained > 10
+    # Much more than the largest that is tried.
+    assert judged(30.0)[0][kind] == (DEFAULT.internal[-1], DEFAULT.external[-1])[kind]
 
 
 @pytest.mark.parametrize("seed", [2, 3, 4])
@@ -94,8 +106,8 @@ def test_the_search_finds_the_best_of_all_discrepancies(seed: int, largest: Disc
     evidence = Evidence(systems, np.zeros(2), np.ones(2))
     allowed = [
         Discrepancy(a, b)
-        for a in tried.INTERNAL
-        for b in tried.EXTERNAL
+        for a in DEFAULT.internal
+        for b in DEFAULT.external
         if a <= largest.internal and b <= largest.external
     ]
     alone = [Evidence(systems, np.zeros(2), np.ones(2)) for _ in allowed]
@@ -224,3 +236,20 @@ def test_some_of_the_shared_columns() -> None:
     part = Evidence([s.with_shared((0, 1, 3)) for s in systems], np.zeros(2), np.ones(2))
     assert part.posterior((2,)).log_evidence == pytest.approx(whole.posterior((3,)).log_evidence)
     np.testing.assert_allclose(part.posterior((2,)).mean, whole.posterior((3,)).mean)
+
+
+def test_discrepancies_and_scales_of_the_settings_are_tried() -> None:
+    systems, _, _ = problem(1, 0.5)
+    few = EvidenceSettings(internal=(0.4, 0.1), external=(0.1,), many=2, scales=(0.5, 1.0), forbidden=7.0)
+    evidence = Evidence(systems, np.zeros(2), np.ones(2), few)
+    assert evidence.posterior(()).discrepancy in (Discrepancy(0.4, 0.1), Discrepancy(0.1, 0.1))
+    # Whatever their order is; none is as small as this, so the smallest stands for it.
+    assert evidence.posterior((), Discrepancy(0.01, 0.01)).discrepancy == Discrepancy(0.1, 0.1)
+    both = [evidence.posterior((2, 3), slack=share * few.slack).log_evidence for share in few.scales]
+    free = Discrepancy(np.inf, np.inf)
+    assert evidence.scaled((2, 3), free).log_evidence == pytest.approx(max(both) - np.log(2))
+    # A number that is surely positive and is said to be none.
+    turned, _, _ = problem(1, -0.5)
+    negative = Evidence(turned, np.zeros(2), np.ones(2), few)
+    found = negative.signed((2,), np.zeros(1))
+    assert found.log_evidence == pytest.approx(negative.posterior(()).log_evidence - 7.0)

@@ -108,3 +108,10 @@ def test_a_heavier_silhouette_is_tried_where_the_cloth_is_lost(
     # None keeps it: the one that keeps it longest.
     np.testing.assert_array_equal(tracked_by((10.0, 1.0), 5), folded(truth, 4))
     assert tried == [10.0, 1.0]
+
+
+def test_how_much_of_the_outline_must_stay_is_a_setting() -> None:
+    overlap = np.array([0.8, 0.75, 0.6, 0.3])
+    assert first_lost(overlap) == 2
+    assert first_lost(overlap, 0.5) == 3
+    assert first_lost(overlap, 0.95) == 1

@@ -11,13 +11,13 @@ import torch
 from toile.cloth.cloth import grid_cloth
 from toile.cloth.material import Material
 from toile.cloth.state import State
-from toile.diagnosis.base_fit import N_BASE, base_deviations, fit_base
+from toile.diagnosis.base_fit import N_BASE, BaseFit, base_deviations, base_of, fit_base, improved
 from toile.diagnosis.continuity import Discrepancy
 from toile.diagnosis.effect_size import effect_size
 from toile.diagnosis.evidence import Evidence
 from toile.diagnosis.findings import mechanical_findings
 from toile.diagnosis.mechanics import Mechanics, effect_systems
-from toile.diagnosis.refits import Refit, refits, settled
+from toile.diagnosis.refits import Refit, RefitSettings, refits, settled
 from toile.diagnosis.shooting import Shooting, ShootingSettings
 from toile.diagnosis.tracked import Tracked
 from toile.effects.base import Surroundings
@@ -105,7 +105,8 @@ def race(mechanics: Mechanics, tried: tuple[int, ...]) -> tuple[Refit, dict[str,
     screened = mechanical_findings(mechanics, USUAL)
     order = sorted(NAMES, key=lambda name: -screened.findings[name].log_evidence)
     free = {name: screened.free[name] for name in order if screened.free[name]}
-    return refits(mechanics, free, screened.charges, USUAL, tried, lambda what, share: None)
+    found = refits(mechanics, free, screened.charges, USUAL, tried, lambda what, share: None)
+    return found.base, found.effects
 
 
 def test_the_size_of_an_effect_is_how_far_it_moves_the_cloth(mechanics: Mechanics) -> None:
@@ -118,3 +119,40 @@ def test_the_size_of_an_effect_is_how_far_it_moves_the_cloth(mechanics: Mechanic
     assert effect_size(mechanics, nothing) == pytest.approx(0.0, abs=1e-6)
     half = replace(model, mean=0.5 * model.mean)
     assert effect_size(mechanics, half) < 0.9 * sizes["anisotropic_stiffness"]
+
+
+def test_passes_end_and_steps_are_as_long_as_the_settings_say(mechanics: Mechanics) -> None:
+    s, fit = mechanics.shooting, mechanics.fit
+    start = fit.values + np.array([0.5, 0.0, 0.0, 0.0, 0.0])
+    base = base_of(fit.start_stiffness, start)
+
+    def passes(**settings: float) -> BaseFit:
+        changed = replace(s.settings, **settings)
+        shooting = Shooting(
+            s.simulator, s.substeps, s.gravity, s.horizontal, s.grid, s.anchors, s.tracked, changed
+        )
+        windows = [shooting.simulate(w, w.white, base) for w in fit.windows]
+        return improved(shooting, windows, fit.start_stiffness, start, lambda what, cost: None, passes=2)
+
+    short = passes(longest_stiffness=1e-3)
+    assert 0 < np.abs(short.values - start)[:3].max() <= 2.001e-3
+    usual = passes()
+    assert np.abs(usual.values - start)[:3].max() > 0.01
+    # A gain that counts as nothing ends it after the first undamped pass.
+    assert len(usual.history) == 3
+    assert len(passes(nothing=1e12).history) == 2
+
+
+def test_a_hypothesis_is_done_when_the_settings_say(mechanics: Mechanics) -> None:
+    screened = mechanical_findings(mechanics, USUAL)
+    free = {"anisotropic_stiffness": screened.free["anisotropic_stiffness"]}
+
+    def change(settings: RefitSettings) -> float:
+        _, models = refits(
+            mechanics, free, screened.charges, USUAL, (1,), lambda what, share: None, settings=settings
+        )
+        moved = models["anisotropic_stiffness"].base.wind - mechanics.fit.base.wind
+        return float(np.abs(moved).max())
+
+    assert 0 < change(RefitSettings(longest_wind=1e-4)) <= 1.001e-4
+    assert change(RefitSettings()) > 2e-4

@@ -9,9 +9,15 @@ import torch
 from toile.cloth.cloth import grid_cloth
 from toile.cloth.material import Material
 from toile.cloth.state import State
-from toile.diagnosis import sensitivities
 from toile.diagnosis.effect_columns import FORCES, Instant, force_columns
-from toile.diagnosis.sensitivities import BlockFactor, Columns, KnownMotion, StepForces
+from toile.diagnosis.sensitivities import (
+    DEFAULT,
+    BlockFactor,
+    Columns,
+    KnownMotion,
+    StepForces,
+    TangentSettings,
+)
 from toile.effects.base import Effect, Surroundings
 from toile.effects.catalogue import CATALOGUE
 from toile.effects.setting import setting
@@ -40,10 +46,8 @@ def start(around: Surroundings) -> torch.Tensor:
     return x.reshape(1, -1, 3).to(torch.float64)
 
 
-@pytest.fixture
-def unlimited(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Tangents as they are, however fast changes grow."""
-    monkeypatch.setattr(sensitivities, "_FASTEST", 1e12)
+UNLIMITED = TangentSettings(fastest=1e12)
+"""Tangents as they are, however fast changes grow."""
 
 
 def simulate(effects, around: Surroundings) -> np.ndarray:
@@ -93,7 +97,8 @@ def effect_tangents(
         now = Instant(step, (step.index + 1) * h, h, STIFFNESS, acceleration, step.positions[held])
         return Columns(force_columns(effect, now, around), np.zeros((n, len(held), 3)))
 
-    tangents = KnownMotion(simulator, motion, STIFFNESS).tangents(0, N_FRAMES - 1, 1, columns, rest, rest)
+    known = KnownMotion(simulator, motion, STIFFNESS, settings=UNLIMITED)
+    tangents = known.tangents(0, N_FRAMES - 1, 1, columns, rest, rest)
     found = np.stack([x for x, _ in tangents])
     return np.moveaxis(found, -1, 0).reshape(n, *motion[1:].shape)
 
@@ -101,7 +106,7 @@ def effect_tangents(
 @pytest.mark.parametrize(
     "name", [n for n, e in CATALOGUE.items() if issubclass(e, FORCES) and n != "contact"]
 )
-def test_columns_are_the_derivatives_of_the_simulation(name: str, unlimited: None) -> None:
+def test_columns_are_the_derivatives_of_the_simulation(name: str) -> None:
     """To first order: what effects do to later velocities through themselves is of second order here."""
     around = surroundings()
     effect = CATALOGUE[name]()
@@ -132,7 +137,7 @@ def test_the_required_force_is_the_one_that_acted() -> None:
 @pytest.mark.parametrize(
     "name", [n for n, e in CATALOGUE.items() if issubclass(e, FORCES) and n != "contact"]
 )
-def test_columns_hold_where_an_effect_is_strong(name: str, unlimited: None) -> None:
+def test_columns_hold_where_an_effect_is_strong(name: str) -> None:
     """What damping, drag and changed stiffness do to later motion is in the tangents, not in the columns."""
     around = surroundings()
     plain_effect = CATALOGUE[name]()
@@ -152,12 +157,12 @@ def test_columns_hold_where_an_effect_is_strong(name: str, unlimited: None) -> N
         assert error < 1e-4, (effect.parameters[k].name, error)
 
 
-def growth(scale: float) -> float:
+def growth(scale: float, settings: TangentSettings) -> float:
     """Fastest growth of a change in one step of a cloth whose start is scaled by a factor."""
     around = surroundings()
     x = scale * start(around)[0].numpy()
     simulator = ImplicitSimulator(around.cloth, STEP, BDF2(), NewtonSettings(1e-10))
-    motion = KnownMotion(simulator, np.stack((x, x)), STIFFNESS)
+    motion = KnownMotion(simulator, np.stack((x, x)), STIFFNESS, settings=settings)
     motion.step(0)
     _, inertia = motion.coefficients(0)
     factor, _ = motion._factor(x, inertia)
@@ -169,9 +174,9 @@ def growth(scale: float) -> float:
     return float(np.linalg.eigvalsh(0.5 * (scaled + scaled.T)).max())
 
 
-def test_no_change_grows_faster_than_is_followed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_change_grows_faster_than_is_followed() -> None:
     """Between slack and taut a cloth is about to buckle, and its tangents would be without bounds."""
     scales = np.linspace(1.0, 1.02, 21)
-    assert max(map(growth, scales)) < 1.02 * sensitivities._FASTEST
-    monkeypatch.setattr(sensitivities, "_FASTEST", 1e12)
-    assert max(map(growth, scales)) > 2 * 5
+    for settings in (DEFAULT, TangentSettings(fastest=3.0)):
+        assert max(growth(scale, settings) for scale in scales) < 1.02 * settings.fastest
+    assert max(growth(scale, UNLIMITED) for scale in scales) > 2 * DEFAULT.fastest

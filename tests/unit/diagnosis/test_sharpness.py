@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from toile.diagnosis.sharpness import EXPOSURES, exposure_evidence, misfits, smear_of
+from toile.diagnosis.sharpness import DEFAULT, ExposureSettings, exposure_evidence, misfits, smear_of
 from toile.effects.catalogue import CATALOGUE
 
 N = 192
@@ -51,4 +51,18 @@ def test_sharp_and_evenly_blurred_frames_are_no_smear(blur: float) -> None:
 
 def test_too_few_patches_say_nothing() -> None:
     """A cloth at rest cannot tell."""
-    assert smear_of(np.zeros((len(EXPOSURES), 3))).log_evidence == 0.0
+    assert smear_of(np.zeros((DEFAULT.exposures, 3))).log_evidence == 0.0
+
+
+def test_patches_count_as_the_settings_say() -> None:
+    found = seen(0.4)
+    usual = smear_of(found)
+    shared = smear_of(found, ExposureSettings(shared_error=2 * DEFAULT.shared_error))
+    assert shared.count == pytest.approx(0.5 * usual.count)
+    np.testing.assert_array_equal(shared.misfit, usual.misfit)
+    assert smear_of(found, ExposureSettings(fewest=found.shape[1] + 1)).log_evidence == 0.0
+    np.testing.assert_allclose(ExposureSettings(exposures=5).tried, [0, 0.25, 0.5, 0.75, 1])
+    # Where nothing is an outlier, the misfit is the mean square.
+    squares = (found**2).mean(1)
+    kept = smear_of(found, ExposureSettings(outlier=1e6)).misfit
+    np.testing.assert_allclose(kept, squares / squares[0])

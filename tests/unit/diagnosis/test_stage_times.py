@@ -53,7 +53,7 @@ def test_a_cached_stage_keeps_the_time_of_making_it(clock: list[float], tmp_path
         clock[0] += 100.0
     first.write(path)
     for _ in range(2):
-        second = StageTimes()
+        second = StageTimes.going_on(path)
         with second.stage("tracking"):
             clock[0] += 0.5
         second.from_cache("tracking")

@@ -100,3 +100,11 @@ def test_another_stiffness_leaves_the_tension_and_its_column_says_so(hanging) ->
         change = (ahead - behind)[1:] / 2e-4
         found = tangents[..., k].reshape(change.shape)
         assert np.linalg.norm(found - change) < 1e-3 * np.linalg.norm(change)
+
+
+def test_a_strong_ridge_leaves_little_tension(hanging) -> None:
+    cloth, shape, _ = hanging
+    usual, small = (
+        template_tension(cloth, shape, GRAVITY, HORIZONTAL, ridge).tensions.sum() for ridge in (0.003, 30.0)
+    )
+    assert 0 < small < 0.05 * usual

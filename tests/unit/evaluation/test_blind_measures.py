@@ -53,12 +53,13 @@ def label(*effects: str, stage: str = "mechanics", inside: bool = True, gap: flo
 
 
 def answer(effect: str, *candidates: str, stage: str = "mechanics", p: float = 0.95, also: str | None = None):
-    shrink = Shrink("position", "late", 10.0, 4.0, 0.6, 0.5, 0.7, 0.12, None)
+    shrink = Shrink("position", "late", 10.0, 4.0, 0.6, 0.5, 0.7, 0.12)
     return GapReport(
         Verdict(effect, candidates or (effect,), stage, p, "", "", also),
         Where({}, (1.0, 1.0, 4.0, 3.0), None),
         (
-            EffectReport("air_drag", "mechanics", 0.9, {}, shrink, Estimate(3.3, 2.5, 4.0, "%")),
+            EffectReport("air_drag", "mechanics", 0.9, {}, shrink),
+            EffectReport("frame_rate", "mechanics", 0.0, {"log_factor": Estimate(0.11, 0.09, 0.13, "1")}),
             EffectReport(
                 "gusts",
                 "actuation",
@@ -83,13 +84,23 @@ def test_right_single() -> None:
     assert row["stage_right"]
     assert row["set_right"]
     assert row["identifiable"]
-    assert row["magnitude_error"] == pytest.approx(0.1)
-    assert row["magnitude_covered"]
-    assert row["shrink_of_oracle"] == pytest.approx(1.0)
-    assert row["placebo_of_oracle"] == pytest.approx(0.2)
+    assert row["placebo_of_true"] == pytest.approx(0.2)
+    assert row["improved"]
     assert row["frames_f1"] == 1.0
     assert not row["naive_top1"]
     assert row["naive_confidently_wrong"]
+
+
+def test_magnitude_of_a_number_that_both_sides_have() -> None:
+    row = marked(slow_camera(), answer("frame_rate"))
+    assert row["magnitude_error"] == pytest.approx(0.1)
+    assert row["magnitude_covered"]
+    assert "magnitude_error" not in marked(label("air_drag"), answer("air_drag"))
+
+
+def slow_camera() -> dict[str, Any]:
+    """A clip from Blender whose frames are further apart than declared, by a logarithm of 0.1."""
+    return {**label("frame_rate"), "generator": "blender", "parameters": {"error": np.expm1(-0.1)}}
 
 
 def test_aliased_single_should_be_called_ambiguous() -> None:
@@ -133,7 +144,7 @@ def test_table() -> None:
     assert top["naive"] == 0.0
     assert table.loc["false alarms on nulls", "high"] > 0.3  # five nulls say little
     assert table.loc["false alarms on nulls", "scenes"] == 5
-    assert table.loc["magnitude: median error", "scenes"] == 10
+    assert table.loc["scenes improved", "scenes"] == 10
     assert table.loc["false alarms on nulls", "naive"] == 1.0
     assert np.isnan(table.loc["outside: abstains", "value"])
     assert confusion(marks).loc["air_drag", "gusts"] == 1
@@ -164,8 +175,9 @@ def test_scores_on_another_grid_than_the_labels(tmp_path: Path) -> None:
 
 
 def test_only_scenes_with_a_mark_count() -> None:
-    other = label("gusts", stage="actuation", gap=2.0)  # its magnitude was not estimated
-    rows = [marked(label("air_drag"), answer("air_drag")), marked(other, answer("gusts", stage="actuation"))]
+    # Of gusts no magnitude is known that could be compared.
+    other = label("gusts", stage="actuation", gap=2.0)
+    rows = [marked(slow_camera(), answer("frame_rate")), marked(other, answer("gusts", stage="actuation"))]
     table = measured(pd.DataFrame(rows), resamplings=20, seed=0).set_index("measure")
     assert table.loc["magnitude: median error", "scenes"] == 1
     assert table.loc["top-1 effect, identifiable singles", "scenes"] == 2

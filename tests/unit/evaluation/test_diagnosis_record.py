@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
 
 from toile.errors import InputError
 from toile.evaluation.diagnosis_record import (
+    FORMAT,
     Alias,
+    CalibrationUse,
     EffectReport,
     Estimate,
     GapReport,
@@ -29,19 +32,46 @@ def report() -> GapReport:
                 "actuation",
                 0.8,
                 {"deviation": Estimate(1.0, 0.5, 2.0, "m/s²")},
-                Shrink("position [mm]", "frames 30 to 39", 10.0, 4.0, 0.6, 0.5, 0.7, 0.1, None),
-                Estimate(3.0, 2.0, 4.0, "%"),
+                Shrink("position [mm]", "frames 30 to 39", 10.0, 4.0, 0.6, 0.5, 0.7, 0.1),
             ),
             EffectReport("air_drag", "mechanics", 0.1),
         ),
         alias=Alias(("gusts", "air_drag"), ((1.0, 0.2), (0.2, 1.0)), {"gusts": 0.1, "air_drag": None}),
         protocol=Protocol(1, (0, 1), (2,), "0.1", "air_drag"),
+        calibration=CalibrationUse(False, "mine.json", "0a1", "2b3", ("diagnosis.sides: 14",)),
     )
 
 
 def test_round_trip(tmp_path: Path) -> None:
     path = report().write(tmp_path / "diagnosis.json")
     assert GapReport.read(path) == report()
+
+
+def test_files_of_before_do_not_say_whether_they_are_calibrated() -> None:
+    values = report().to_json()
+    del values["calibration"]
+    assert GapReport.from_json(values).calibration is None
+
+
+def test_the_first_format_is_read() -> None:
+    """It had two more keys, which never held a number; in the second one they are mistakes."""
+    values = report().to_json()
+    assert values.pop("format") == FORMAT
+    values["effects"][0]["gap"] = None
+    values["effects"][0]["shrink"]["oracle"] = None
+    assert GapReport.from_json(values) == report()
+    with pytest.raises(InputError, match=r"gap|oracle"):
+        GapReport.from_json({**values, "format": FORMAT})
+    with pytest.raises(InputError, match="format"):
+        GapReport.from_json({**report().to_json(), "format": FORMAT + 1})
+
+
+@pytest.mark.parametrize("path", sorted(Path(__file__).parents[3].glob("docs/results/**/*.json")), ids=str)
+def test_committed_answers_are_read(path: Path) -> None:
+    values = json.loads(path.read_text())
+    if "verdict" not in values:
+        pytest.skip("no diagnosis")
+    assert GapReport.from_json(values).verdict.effect == values["verdict"]["effect"]
 
 
 def test_effects_are_sorted() -> None:
@@ -60,6 +90,8 @@ def test_effects_are_sorted() -> None:
         (("where", "frames"), [float("nan")], "finite"),
         (("alias", "matrix"), [[1.0]], "rows"),
         (("protocol", "seed"), 1.5, "whole"),
+        (("calibration", "calibrated"), "no", "true or false"),
+        (("calibration", "differences"), "all", "a list"),
         (("verdict", "efect"), "gusts", "efect"),
         (("effects", 0, "parameters", "deviation", "low"), 1.5, "between"),
     ],

@@ -23,9 +23,7 @@ from toile.reports.diagnosis_arrays import DiagnosisArrays, Screening
 CONFIG = "scene: <tiny>\n"
 
 
-def shrink(
-    estimate: float, *, placebo: float | None = 0.05, oracle: float | None = None, spread: float = 0.08
-) -> Shrink:
+def shrink(estimate: float, *, placebo: float | None = 0.05, spread: float = 0.08) -> Shrink:
     return Shrink(
         "distance to tracked positions [mm]",
         "frames 30 to 39",
@@ -35,7 +33,6 @@ def shrink(
         estimate - spread,
         estimate + spread,
         placebo,
-        oracle,
     )
 
 
@@ -44,7 +41,7 @@ def made_up_report(n_frames: int = 40, n_used: int = 30) -> GapReport:
     rng = np.random.default_rng(0)
     probabilities = {"air_drag": 0.93, "internal_damping": 0.03, "gusts": 0.012}
     shrinks = {
-        "air_drag": shrink(0.6, oracle=2.9),
+        "air_drag": shrink(0.6),
         "internal_damping": shrink(0.31),
         "gusts": shrink(-0.1),
     }
@@ -62,7 +59,6 @@ def made_up_report(n_frames: int = 40, n_used: int = 30) -> GapReport:
                 probabilities.get(name, 0.0005),
                 numbers,
                 shrinks.get(name),
-                Estimate(3.1, 2.6, 3.7, "% of width") if name == "air_drag" else None,
             )
         )
     effects.sort(key=lambda effect: -effect.probability)

@@ -17,14 +17,14 @@ from toile.reports.diagnosis_wording import change, metric_and_unit, plain_name
 from toile.reports.page.charts import CURSOR, MAP_HEIGHT, SMALL, plain
 from toile.reports.palette import FORCE_SCALE, INK, MUTED, RECONSTRUCTION, RULE, SERIES
 
-_PLACEBO, _ORACLE, _OTHER = SERIES[1], SERIES[2], "#8795a6"
+_PLACEBO, _OTHER = SERIES[1], "#8795a6"
 _SCORED = 18
 """Names up to which an alias matrix has room for numbers."""
 _WORTH_A_NUMBER = 0.5
 
 
 def held_out(effects: Sequence[EffectReport], chosen: Collection[str]) -> go.Figure | None:
-    """Error on held-out frames without and with each effect, beside placebo and oracle; None without any.
+    """Error on held-out frames without and with each effect, beside the best placebo; None without any.
 
     Args:
         effects: those without a shrink, or with another metric than the first one's, are passed over.
@@ -73,9 +73,6 @@ def held_out(effects: Sequence[EffectReport], chosen: Collection[str]) -> go.Fig
             text = f"best placebo, {change(s.best_placebo)}"
             mark("best placebo", s.base * (1 - s.best_placebo), row, text,
                  {"color": _PLACEBO, "size": 10, "symbol": "diamond"})  # fmt: skip
-        if s.oracle is not None:
-            mark("oracle", s.oracle, row, "oracle: the true effect, fitted the same way",
-                 {"color": _ORACLE, "size": 12, "symbol": "star"})  # fmt: skip
         text = f"with {name}, {change(s.estimate)}"
         mark("with the effect (and 90 % interval)", s.with_effect, row, text,
              {"color": colour, "size": 12})  # fmt: skip

@@ -27,18 +27,20 @@ from toile.reports.diagnosis_wording import (
     STAGES,
     answer,
     beats_placebo,
+    calibration_caveat,
     certainty,
     change,
     change_between,
     frame_ranges,
     listed,
+    mark,
     percent,
     plain_name,
     shrinkage,
 )
 from toile.reports.page.charts import field_maps
 from toile.reports.page.diagnosis_charts import alias_matrix, held_out, mean_map, over_time
-from toile.reports.page.document import document, figure, number, section, table, with_unit
+from toile.reports.page.document import document, figure, number, section, table, warning_box, with_unit
 from toile.reports.page.viewer import Video, viewer
 from toile.reports.run_report import OBSERVED_SIZE, held_vertices
 from toile.scenes.scene import Scene
@@ -116,6 +118,8 @@ class DiagnosisPage:
         )
         # Caveats stand there: what is not explained, frames that do not count.
         reason = f'<p class="note">{escape(verdict.reason)}</p>' if verdict.reason else ""
+        caveat = calibration_caveat(self.report)
+        reason += f'<p class="note">{escape(caveat)}</p>' if caveat else ""
         shown = self._cards()
         cards = "".join(
             f'<div class="card"><span class="value">{value}</span>{escape(caption)}</div>'
@@ -123,7 +127,8 @@ class DiagnosisPage:
         )
         return (
             f'<header><p class="eyebrow">toile · diagnosis of {escape(title)}</p>'
-            f'<h1 class="answer">{escape(answer(self.report))}</h1><p class="lead">{lead}</p>{reason}{advice}'
+            f'<h1 class="answer">{escape(answer(self.report))}</h1>{warning_box(self.report.warnings)}'
+            f'<p class="lead">{lead}</p>{reason}{advice}'
             f'<div class="cards" style="max-width: {260 * len(shown)}px">{cards}</div></header>'
         )
 
@@ -132,9 +137,12 @@ class DiagnosisPage:
         report, verdict = self.report, self.report.verdict
         if verdict.effect == AMBIGUOUS:
             likely = {e.name: e.probability for e in report.effects if e.name in verdict.candidates}
-            cards = [(escape(percent(p)), plain_name(name)) for name, p in list(likely.items())[:4]]
+            cards = [
+                (escape(percent(p)), f"{plain_name(name)}{mark(report)}")
+                for name, p in list(likely.items())[:4]
+            ]
         else:
-            cards = [(escape(percent(verdict.probability)), "probability of this answer")]
+            cards = [(escape(percent(verdict.probability)), f"probability of this answer{mark(report)}")]
         if verdict.stage in STAGES:
             cards.append((escape(verdict.stage), f"stage: {STAGES[verdict.stage]}"))
         found = report.effect(verdict.effect)
@@ -144,8 +152,6 @@ class DiagnosisPage:
                 cards.append((change(found.shrink.estimate), f"error on {found.shrink.held_out}{claim}"))
             for name, e in _telling(found.parameters)[:1]:
                 cards.append((_large(e), f"{name}, {_bounds(e)}"))
-            if found.gap is not None and found.gap.estimate > 0:
-                cards.append((_large(found.gap), f"that the effect moves the cloth, {_bounds(found.gap)}"))
         if self.arrays.vertices is not None and len(cards) < 5:
             mean = 1e3 * float(self.arrays.vertices.mean())
             what = "mean distance of the base model, left to itself for a few frames, from the tracked cloth"
@@ -188,10 +194,9 @@ class DiagnosisPage:
         others = [e for e in effects if e not in shown]
         if not effects:
             return ""
-        moves = "<th>moves the cloth by</th>" if self._knows_motion else ""
         head = (
-            "<tr><th>effect</th><th class='left'>probability</th>"
-            f"<th class='left'>estimates, 90 % intervals</th>{moves}<th>held-out error</th></tr>"
+            f"<tr><th>effect</th><th class='left'>probability{mark(self.report)}</th>"
+            "<th class='left'>estimates, 90 % intervals</th><th>held-out error</th></tr>"
         )
         rows = [self._row(e) for e in shown]
         rest = max(0.0, 1 - sum(e.probability for e in effects))
@@ -203,11 +208,6 @@ class DiagnosisPage:
         count = f"{len(others)} other{'s' if len(others) > 1 else ''} below {percent(LIKELY)}"
         return f'{ranking}<details class="ranking"><summary>{count}</summary>{more}</details>'
 
-    @property
-    def _knows_motion(self) -> bool:
-        """Whether it was measured how far any effect moves the cloth."""
-        return any(effect.gap is not None for effect in self.report.effects)
-
     def _row(self, effect: EffectReport) -> str:
         verdict = self.report.verdict
         chosen = effect.name in self._chosen
@@ -218,12 +218,6 @@ class DiagnosisPage:
             tags.append('<span class="tag chosen">in the 90 % set</span>')
         if effect.name == self.report.protocol.naive:
             tags.append('<span class="tag">naive answer</span>')
-        gap = "–"
-        if effect.gap is not None:
-            moves = effect.gap.high > 0 or effect.gap.estimate > 0
-            gap = f"{_value(effect.gap.estimate, effect.gap.unit)}<br><i>{_bounds(effect.gap)}</i>"
-            gap = gap if moves else "not at all"
-        gap = f"<td data-label='moves the cloth by'>{gap}</td>" if self._knows_motion else ""
         shrink = "–"
         if effect.shrink is not None:
             s = effect.shrink
@@ -234,7 +228,7 @@ class DiagnosisPage:
             f"<tr{' class=best' if chosen else ''}>"
             f"<th>{escape(plain_name(effect.name))}<small>{escape(effect.stage)}</small>{' '.join(tags)}</th>"
             f'<td class="share">{escape(percent(effect.probability))}{_bar(effect.probability, chosen)}</td>'
-            f"<td class='left'>{_estimates(effect.parameters)}</td>{gap}"
+            f"<td class='left'>{_estimates(effect.parameters)}</td>"
             f"<td data-label='held-out error'>{shrink}</td></tr>"
         )
 
@@ -255,7 +249,7 @@ class DiagnosisPage:
             rows.append(
                 f'<tr class="{"best" if chosen else "rest"}"><th>{label}{tag}</th>'
                 f'<td class="share">{escape(percent(probability))}{_bar(probability, chosen)}</td>'
-                f"<td></td>{'<td></td>' if self._knows_motion else ''}<td></td></tr>"
+                "<td></td><td></td></tr>"
             )
         return rows
 
@@ -361,6 +355,7 @@ class DiagnosisPage:
             else "",
             "seed": str(report.protocol.seed),
             "version": report.protocol.version,
+            "calibration": _calibration(report),
         }
         if screening is not None:
             internal, external = screening.discrepancy
@@ -393,6 +388,16 @@ def write_diagnosis_page(
         name: of the scene, where there is none.
     """
     return write_text(path, DiagnosisPage(report, arrays or DiagnosisArrays(), scene, name).render())
+
+
+def _calibration(report: GapReport) -> str:
+    use = report.calibration
+    if use is None:
+        return ""
+    name = use.file or "the package's own"
+    if use.calibrated:
+        return f"{name}, made with the same settings ({use.settings})"
+    return f"{name}; not for these settings ({use.settings or 'unknown'}): {'; '.join(use.differences)}"
 
 
 def _video(scene: Scene, n_frames: int) -> Video:
