@@ -127,7 +127,7 @@ CASES = [
         RESUME,
         "overrides.yaml of an interrupted fit broken",
         ("fit", f"resume={HALF}"),
-        put(f"{HALF}/.hydra/overrides.yaml", "{a: [b"),
+        put(f"{HALF}/overrides.yaml", "{a: [b"),
         says=("overrides.yaml",),
         keeps=(CHECKPOINT,),
     ),

@@ -197,7 +197,8 @@ def _problem(cfg: DictConfig) -> _Problem:
     scene: Scene = instantiate(cfg.scene)
     warnings = scene_warnings(scene, force=cfg.force)
     recipe = instantiate(cfg.optimization)
-    effects = tuple((instantiate(cfg.candidates) or {}).values())
+    # candidates.<name>=null takes one out.
+    effects = tuple(e for e in (instantiate(cfg.candidates) or {}).values() if e is not None)
     settings = instantiate(cfg.diagnosis)
     # The stiffness is that of the settings, in SI units: the diagnosis puts it in.
     make_parameters = partial(ClothParameters, stretching=1.0, shearing=1.0, bending=1.0)

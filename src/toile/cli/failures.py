@@ -77,7 +77,8 @@ def _missing(error: OmegaConfBaseException) -> Failure:
 
 
 def _messages(error: Exception) -> Failure:
-    parts = dict.fromkeys(str(e).strip() for e in _chain(error))
+    # Where Hydra has looked helps nobody who has mistyped a choice.
+    parts = dict.fromkeys(str(e).partition("Config search path:")[0].strip() for e in _chain(error))
     return Failure("error: " + "\n".join(parts), BAD_INPUT)
 
 

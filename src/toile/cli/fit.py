@@ -62,7 +62,9 @@ def run(cfg: DictConfig) -> float | None:
     checkpoint = last_checkpoint(folder, config)
     check_losses_are_used(cfg)
     write_config(folder, config)
-    write_overrides(folder, HydraConfig.get().overrides.task)
+    if checkpoint is None or not folder.overrides.is_file():
+        # What the run was started with; what a later call adds may yet turn out to be wrong.
+        write_overrides(folder, HydraConfig.get().overrides.task)
     write_git_revision(folder)
     scene: Scene = instantiate(cfg.scene)
     warnings = scene_warnings(scene, force=cfg.force)

@@ -15,6 +15,8 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import QuotedString
 from hydra.errors import HydraException
 
+from toile.errors import InputError
+
 # Settings that hold a path, by their last part; "scene" has rules of its own.
 _PATHS = {
     "data",
@@ -51,7 +53,15 @@ def quote_paths(arguments: Sequence[str]) -> list[str]:
 
     Args:
         arguments: of the command line; flags and arguments without "=" are left alone.
+
+    Raises:
+        InputError: one that begins with "=".
     """
+    nameless = [argument for argument in arguments if argument.startswith("=")]
+    if nameless:
+        raise InputError(
+            "An override without a name", where="command line", expected="key=value", got=nameless[0]
+        )
     return [_path_quoted(argument) for argument in arguments]
 
 

@@ -46,6 +46,7 @@ def resume_arguments(arguments: Sequence[str], what: str) -> list[str]:
             expected=f"a run folder with overrides.yaml and {begun}",
             got="no such folder" if not folder.is_dir() else "a folder without one of them",
         )
+    _check_kind(RunFolder(folder), what)
     before = _overrides(record)
     others = [a for a in arguments if a.partition("=")[0] != _KEY]
     return [*before, *others, f"hydra.run.dir={quoted(str(folder))}"]
@@ -58,6 +59,22 @@ def _record(folder: Path) -> Path | None:
     """
     records = (RunFolder(folder).overrides, folder / ".hydra" / "overrides.yaml")
     return next((record for record in records if record.is_file()), None)
+
+
+def _check_kind(folder: RunFolder, what: str) -> None:
+    """Refuse the folder of another command."""
+    if not folder.config.is_file():
+        return
+    settings = read_settings(read_config(folder), str(folder.config))
+    # A diagnosis has what a fit has, and more.
+    found = next((kind for kind in ("training", "diagnosis") if kind in settings), "fit")
+    if found != what:
+        raise InputError(
+            f"There is no {what} to continue",
+            where=str(folder.path),
+            expected=f"the folder of a {what}",
+            got=f"that of a {found}",
+        )
 
 
 def _overrides(record: Path) -> list[str]:

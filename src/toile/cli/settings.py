@@ -16,7 +16,7 @@ from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
-from annotated_types import Ge, Gt, Le, Lt
+from annotated_types import Ge, Gt, Le, Lt, MaxLen, MinLen
 from hydra.utils import get_object
 from omegaconf import DictConfig, OmegaConf
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
@@ -235,7 +235,7 @@ def describe(kind: Any) -> str:
         limits = [m for item in metadata for m in (item.metadata if isinstance(item, FieldInfo) else [item])]
         bounds = " and ".join(filter(None, map(_bound, limits)))
         units = [f"[{limit.name}]" for limit in limits if isinstance(limit, Unit)]
-        text = " ".join(filter(None, (describe(base), bounds, *units)))
+        text = " ".join(filter(None, (_of_length(describe(base), limits), bounds, *units)))
     elif origin in (Union, types.UnionType):
         text = ", or ".join(dict.fromkeys(map(describe, get_args(kind))))
     elif origin in (Sequence, tuple, list):
@@ -253,6 +253,15 @@ def describe(kind: Any) -> str:
     elif inspect.isclass(kind) and issubclass(kind, Enum):
         text = ", ".join(str(member.value) for member in kind)
     return text
+
+
+def _of_length(text: str, limits: Sequence[object]) -> str:
+    """The words for a list with how long it must be."""
+    least = next((limit.min_length for limit in limits if isinstance(limit, MinLen)), 0)
+    most = next((limit.max_length for limit in limits if isinstance(limit, MaxLen)), None)
+    if least == most:
+        return text.replace("a list", f"a list of {least}", 1)
+    return text.replace("a list", f"a list of at least {least}", 1) if least else text
 
 
 def _bound(limit: object) -> str:

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
+from pydantic import Field
+
 from toile.errors import InputError
 from toile.limits import Count, CountOrZero, Finite, Fraction, Positive, Unit
 from toile.scenes.locations import DATA_VARIABLE, SceneLocation, available_scenes, data_folder, find_scene
@@ -35,7 +37,7 @@ def load_scene(
     minimum_component: Fraction = 0.1,
     texture_coordinates: Texturing = from_file,
     fps: Annotated[Positive, Unit("1/s")] | None = None,
-    gravity: Sequence[Annotated[Finite, Unit("m/s²")]] | None = None,
+    gravity: Annotated[Sequence[Finite], Field(min_length=3, max_length=3), Unit("m/s²")] | None = None,
     held_vertices: Sequence[CountOrZero] | None = None,
 ) -> Scene:
     """Load a scene by name ("R1", "a1cb40") or by the path of a native folder.

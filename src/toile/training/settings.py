@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
+
+from pydantic import Field
 
 from toile.errors import InputError
 from toile.limits import Count, Fraction, Positive
@@ -32,7 +35,7 @@ class TrainingSettings:
         validation: after every epoch.
     """
 
-    widths: tuple[Count, ...]
+    widths: Annotated[tuple[Count, ...], Field(min_length=1)]
     epochs: Count
     steps_per_epoch: Count
     batch_size: Count

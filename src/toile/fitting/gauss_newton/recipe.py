@@ -18,6 +18,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from toile.errors import InputError
 from toile.fitting.gauss_newton.unknowns import Priors, WindowUnknowns, force_change
 from toile.fitting.gauss_newton.window import minimise_window, state_at
 from toile.fitting.parameters import ClothParameters
@@ -128,6 +129,13 @@ class TrackingRecipe(Recipe):
     def __init__(self, stages: Mapping[str, Stage | None]) -> None:
         self._by_name = dict(stages)
         self.stages = [stage for stage in stages.values() if stage is not None]
+        if not self.stages:
+            raise InputError(
+                "There is nothing to do",
+                where="optimization.stages",
+                expected="at least one stage",
+                got="none",
+            )
         self._plan: list[tuple[Stage, int, int]] = []
         self._positions: Array | None = None
         self._covered = 0
