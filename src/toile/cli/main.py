@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import logging
 import os
 import sys
 import traceback
@@ -28,6 +29,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     the program and ends in a traceback; with HYDRA_FULL_ERROR=1 every failure does.
     """
     accept_any_text()
+    # A log that a full disk refuses is no reason for a traceback; a result that it refuses has a message.
+    logging.raiseExceptions = False
     given = list(sys.argv[1:] if arguments is None else arguments)
     try:
         with disk_failures_of_threads() as failures:
