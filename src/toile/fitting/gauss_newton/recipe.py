@@ -129,13 +129,6 @@ class TrackingRecipe(Recipe):
     def __init__(self, stages: Mapping[str, Stage | None]) -> None:
         self._by_name = dict(stages)
         self.stages = [stage for stage in stages.values() if stage is not None]
-        if not self.stages:
-            raise InputError(
-                "There is nothing to do",
-                where="optimization.stages",
-                expected="at least one stage",
-                got="none",
-            )
         self._plan: list[tuple[Stage, int, int]] = []
         self._positions: Array | None = None
         self._covered = 0
@@ -151,7 +144,15 @@ class TrackingRecipe(Recipe):
         return sum(len(stage.windows.plan(reconstruction.scene.n_frames)) for stage in self.stages)
 
     def start(self, reconstruction: Reconstruction) -> None:
-        """See Recipe."""
+        """See Recipe.
+
+        Raises:
+            InputError: there is no stage.
+        """
+        if not self.stages:
+            raise InputError(
+                "The recipe has no stage", where="optimization.stages", expected="at least one", got="none"
+            )
         self._seed = int(torch.randint(2**31, ()))
         n = reconstruction.scene.n_frames
         self._plan = [(stage, a, b) for stage in self.stages for a, b in stage.windows.plan(n)]
