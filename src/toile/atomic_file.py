@@ -57,7 +57,10 @@ def disk_failures_name(path: Path) -> Iterator[None]:
 
 def disk_failure(error: BaseException | None) -> OSError | None:
     """The failure of a disk (full, read-only, defect) behind an exception; None where there is none."""
-    while error is not None:
+    seen: set[int] = set()
+    # An exception that is raised again while another one is handled can stand in its own chain.
+    while error is not None and id(error) not in seen:
+        seen.add(id(error))
         if isinstance(error, OSError) and error.errno in _DISK:
             return error
         error = error.__cause__ or (None if error.__suppress_context__ else error.__context__)
