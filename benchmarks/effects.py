@@ -33,7 +33,8 @@ from torch import Tensor
 from toile.cli.machine import machine
 from toile.cloth.material import Material
 from toile.diagnosis.border import border, border_evidence
-from toile.diagnosis.colours import brightness_evidence, colours, exposure_evidence
+from toile.diagnosis.colours import ColourFit, brightness_evidence, colours
+from toile.diagnosis.sharpness import ExposureFit, exposure_evidence, smear
 from toile.effects.base import (
     BrightnessEffect,
     CameraEffect,
@@ -390,12 +391,13 @@ def from_images(name: str) -> list[Found]:
         best = border_evidence(zero, scene, border(scene))
         mean, covariance = best.mean, best.covariance
     else:
-        seen = colours(filmed(truth), plain_motion().numpy())
+        clip, positions = filmed(truth), plain_motion().numpy()
+        fit: ColourFit | ExposureFit
         if isinstance(zero, BrightnessEffect):
-            fit = brightness_evidence(zero, seen)
+            fit = brightness_evidence(zero, colours(clip, positions))
         else:
             assert isinstance(zero, ExposureEffect)
-            fit = exposure_evidence(zero, seen)
+            fit = exposure_evidence(zero, smear(clip, positions))
         mean, covariance = fit.mean, fit.covariance
     sigmas = np.sqrt(np.diag(covariance))
     return [

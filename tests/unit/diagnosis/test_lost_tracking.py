@@ -12,7 +12,7 @@ from toile.diagnosis import tracked
 from toile.diagnosis.tracked import CoarseTracking, track, track_once
 from toile.fitting.gauss_newton.recipe import SlidingWindows, Stage, TrackingRecipe
 from toile.fitting.gauss_newton.unknowns import Priors
-from toile.fitting.lost_cloth import first_lost, outline_overlap
+from toile.fitting.lost_cloth import LostClothGuard, first_lost, outline_overlap
 from toile.fitting.reconstruction import Reconstruction
 from toile.fitting.terms.texture_points import PointTermSettings
 
@@ -40,6 +40,12 @@ def test_a_cloth_that_folds_over_is_lost(problem: Problem, truth: np.ndarray) ->
     np.testing.assert_array_equal(wrong[:3], right[:3])
     assert (wrong[3:] < 0.85).all()
     assert first_lost(wrong) == 3
+
+
+def test_a_fit_takes_the_share_that_is_asked_for(problem: Problem, truth: np.ndarray) -> None:
+    wrong = torch.from_numpy(folded(truth, 3)).unflatten(1, (8, 8))
+    assert LostClothGuard().first_lost(problem(), wrong) == 3
+    assert LostClothGuard(least_overlap=0.1).first_lost(problem(), wrong) == len(truth)
 
 
 def test_a_wrong_camera_loses_nothing() -> None:

@@ -39,6 +39,7 @@ def report() -> GapReport:
         alias=Alias(("gusts", "air_drag"), ((1.0, 0.2), (0.2, 1.0)), {"gusts": 0.1, "air_drag": None}),
         protocol=Protocol(1, (0, 1), (2,), "0.1", "air_drag"),
         calibration=CalibrationUse(False, "mine.json", "0a1", "2b3", ("diagnosis.sides: 14",)),
+        warnings=("The focal length is guessed",),
     )
 
 
@@ -51,6 +52,14 @@ def test_files_of_before_do_not_say_whether_they_are_calibrated() -> None:
     values = report().to_json()
     del values["calibration"]
     assert GapReport.from_json(values).calibration is None
+
+
+def test_files_of_before_have_no_warnings() -> None:
+    values = report().to_json()
+    del values["warnings"]
+    assert GapReport.from_json(values).warnings == ()
+    with pytest.raises(InputError, match="warnings"):
+        GapReport.from_json({**values, "warnings": [1]})
 
 
 def test_the_first_format_is_read() -> None:
