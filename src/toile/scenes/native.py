@@ -536,7 +536,7 @@ def _write_files(scene: Scene, folder: Path) -> None:
     times = None if scene.times is None else scene.times.tolist()
     write_without_images(scene, folder, scene.n_frames, times)
     for key, images in (("rgb", scene.frames), ("mask", scene.masks)):
-        paths = _sequence(folder, FILES[key], scene.n_frames)
+        paths = [folder / (FILES[key] % k) for k in range(scene.n_frames)]
         paths[0].parent.mkdir()
         for path, image in zip(paths, images, strict=True):
             write_image(path, image)

@@ -232,3 +232,17 @@ def test_wrong_times_in_the_description(uneven_folder: Path, changes, named) -> 
     with pytest.raises(InputError) as caught:
         load_native(uneven_folder)
     assert named in str(caught.value)
+
+
+def test_long_clips_are_written_whole(tiny_scene: Scene, tmp_path: Path) -> None:
+    """Where reading gives up on a long row of missing files, writing has all of them before it."""
+    n = 60
+    long = replace(
+        tiny_scene,
+        frames=tiny_scene.frames[:1].expand(n, -1, -1, -1),
+        masks=tiny_scene.masks[:1].expand(n, -1, -1),
+        ground_truth=None,
+    )
+    folder = write_native(long, tmp_path / "long")
+    assert len(list((folder / "rgbs").iterdir())) == len(list((folder / "masks").iterdir())) == n
+    assert load_native(folder, crop_margin=None).n_frames == n
