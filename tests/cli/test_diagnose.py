@@ -18,6 +18,7 @@ from toile.diagnosis.diagnose import HELD_OUT_FILE, SCREENING_FILE, TRACKED_FILE
 from toile.diagnosis.stage_store import StageStore
 from toile.diagnosis.stage_times import TIMES_FILE, read_times
 from toile.diagnosis.stages import FILES
+from toile.errors import InputError
 from toile.evaluation.diagnosis_record import DIAGNOSIS_FILE, GapReport
 
 SCENE = (
@@ -106,6 +107,19 @@ def test_what_is_there_is_named_and_what_is_not_is_not(clip: Path, answered: Pat
         assert effect is not None
         assert effect.probability < 0.02
         assert name not in null.verdict.candidates
+
+
+def test_what_is_remarkable_about_the_scene_is_said(
+    clip: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """It is in the answer as well; refused it is without force=true."""
+    slow = (*SMALL, "scene.fps=0.5", "diagnosis.longest_substep=1", "simulator.longest_substep=1")
+    with pytest.raises(InputError, match="force=true"):
+        diagnose_scene(clip, tmp_path / "refused", slow)
+    diagnose_scene(clip, tmp_path / "run", (*slow, "force=true"))
+    (warning,) = GapReport.read(tmp_path / "run" / DIAGNOSIS_FILE).warnings
+    assert "frame rate" in warning
+    assert warning in caplog.messages
 
 
 class Interruption:
@@ -244,6 +258,7 @@ def test_what_was_made_from_something_else_is_made_again(
         (("candidates.air_drag.values.linear=0.5",), ("candidates.air_drag.values", "linear: 0.5")),
         (("candidates=null",), ("nothing to choose from",)),
         (("workers=0",), ("workers",)),
+        (("scene.gravity=[0,9810,0]",), ("far too strong", "force=true")),
     ],
     ids=lambda value: value[0] if isinstance(value, tuple) else None,
 )

@@ -148,10 +148,10 @@ def test_a_hypothesis_is_done_when_the_settings_say(mechanics: Mechanics) -> Non
     free = {"anisotropic_stiffness": screened.free["anisotropic_stiffness"]}
 
     def change(settings: RefitSettings) -> float:
-        _, models = refits(
+        race = refits(
             mechanics, free, screened.charges, USUAL, (1,), lambda what, share: None, settings=settings
         )
-        moved = models["anisotropic_stiffness"].base.wind - mechanics.fit.base.wind
+        moved = race.effects["anisotropic_stiffness"].base.wind - mechanics.fit.base.wind
         return float(np.abs(moved).max())
 
     assert 0 < change(RefitSettings(longest_wind=1e-4)) <= 1.001e-4
