@@ -327,6 +327,7 @@ def test_a_terminal_that_knows_ascii_only(
 ) -> None:
     """The table has m² and –, the message of a failure an umlaut."""
     environment = {**os.environ, **variables, "PYTHONCOERCECLOCALE": "0"}
+    environment.pop("TOILE_DATA", None)  # the scene is in the folder of the test
     main = [sys.executable, "-c", "import sys; from toile.cli.main import main; sys.exit(main())"]
 
     def toile(*arguments: str) -> subprocess.CompletedProcess[bytes]:
