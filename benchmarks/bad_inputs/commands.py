@@ -6,7 +6,7 @@ from bad_inputs.breaking import DEEP, at_once, cut, put, remove, values
 from bad_inputs.case import Case, Want
 from bad_inputs.stock import BLIND, BLIND_KEY, BLIND_SET, GENERATE, RUN, SCENE
 
-GROUP, SETS = "Commands", "Blind sets"
+GROUP, SETS, CALIBRATIONS = "Commands", "Blind sets", "Calibrations"
 PREDICTIONS = "outputs/blind_predictions/tiny"
 RUN_SET = ("blind", "run", *BLIND)
 
@@ -60,6 +60,42 @@ CASES = [
         process=True,
         want=Want.SUCCESS,
         leaves=(f"{RUN}/metrics.json",),
+    ),
+    # -- calibrations
+    Case(CALIBRATIONS, "neither runs nor a table", ("calibrate", "source=x"), says=("runs", "table")),
+    Case(
+        CALIBRATIONS,
+        "a table that is not there",
+        ("calibrate", "table=nothing.csv", "source=x"),
+        says=("nothing.csv",),
+    ),
+    Case(
+        CALIBRATIONS,
+        "a table of something else",
+        ("calibrate", "table=other.csv", "source=x"),
+        put("other.csv", "a,b\n1,2\n"),
+        says=("other.csv",),
+    ),
+    Case(
+        CALIBRATIONS,
+        "a video as a table",
+        ("calibrate", "table=clip.mp4", "source=x"),
+        says=("clip.mp4",),
+    ),
+    Case(CALIBRATIONS, "runs without labels", ("calibrate", RUN, "source=x"), says=("labels",)),
+    Case(
+        CALIBRATIONS,
+        "the run of a fit",
+        ("calibrate", RUN, "labels=labels.json", "source=x"),
+        put("labels.json", '{"fit": "none"}'),
+        says=(RUN,),
+    ),
+    Case(
+        CALIBRATIONS,
+        "labels that are broken",
+        ("calibrate", RUN, "labels=labels.json", "source=x"),
+        put("labels.json", "{"),
+        says=("labels.json",),
     ),
     # -- blind sets
     Case(SETS, "an unknown action", ("blind", "peek", *BLIND), says=("peek", "grade")),
