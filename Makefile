@@ -62,7 +62,7 @@ results: setup ## Reproduce the table of the README (needs the recordings in TOI
 .PHONY: train-surrogate
 train-surrogate: setup ## Train the neural surrogate on the CPU and put its weights into the package
 	$(BIN)/toile train training=cpu threads=1 hydra.run.dir=outputs/surrogate
-	cp outputs/surrogate/surrogate.pt src/toile/simulators/surrogate/surrogate.pt
+	cp outputs/surrogate/surrogate.pt src/toile/physics/surrogate/surrogate.pt
 
 .PHONY: surrogate-card
 surrogate-card: setup ## Measure the neural surrogate: docs/surrogate.md

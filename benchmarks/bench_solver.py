@@ -27,15 +27,15 @@ import numpy as np  # noqa: E402
 import torch  # noqa: E402
 from numpy.typing import NDArray  # noqa: E402
 
-from toile.cloth.cloth import grid_cloth  # noqa: E402
-from toile.cloth.material import Material  # noqa: E402
-from toile.cloth.state import State  # noqa: E402
-from toile.simulators.implicit.banded import BandedCholesky  # noqa: E402
-from toile.simulators.implicit.integrators import BDF2, Integrator  # noqa: E402
-from toile.simulators.implicit.linearized import LinearizedRollout, Perturbation  # noqa: E402
-from toile.simulators.implicit.newton import NewtonSettings  # noqa: E402
-from toile.simulators.implicit.simulator import ImplicitSimulator  # noqa: E402
-from toile.simulators.rollout import Rollout, rollout  # noqa: E402
+from toile.physics.cloth import grid_cloth  # noqa: E402
+from toile.physics.implicit.banded import BandedCholesky  # noqa: E402
+from toile.physics.implicit.integrators import BDF2, Integrator  # noqa: E402
+from toile.physics.implicit.linearized import LinearizedRollout, Perturbation  # noqa: E402
+from toile.physics.implicit.newton import NewtonSettings  # noqa: E402
+from toile.physics.implicit.simulator import ImplicitSimulator  # noqa: E402
+from toile.physics.material import Material  # noqa: E402
+from toile.physics.rollout import Rollout, rollout  # noqa: E402
+from toile.physics.state import State  # noqa: E402
 
 FRAME_RATE = 30.0
 SIDE = 0.55  # [m]

@@ -8,8 +8,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from toile.evaluation.blind_leak import leaks_of
-from toile.evaluation.blind_sealing import BlindSet, SealKey
+from toile.blind.leak import leaks_of
+from toile.blind.sealing import BlindSet, SealKey
 
 
 def main() -> None:

@@ -26,14 +26,14 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from toile.atomic_file import write_text, written_atomically
+from toile.blind.leak import file_statistics, leaks, power
+from toile.blind.measures import measured
+from toile.blind.run import Predictions
+from toile.blind.sealing import BlindSet
+from toile.blind.tables import LEVELS
 from toile.diagnosis.stage_times import TIMES_FILE, read_times
 from toile.effects.catalogue import MOVING, STAGES
 from toile.errors import InputError
-from toile.evaluation.blind_leak import file_statistics, leaks, power
-from toile.evaluation.blind_measures import measured
-from toile.evaluation.blind_run import Predictions
-from toile.evaluation.blind_sealing import BlindSet
-from toile.evaluation.blind_tables import LEVELS
 
 ARMS = {
     "shrink_true": ("true effect", "o", "#0b6fb8"),
@@ -458,7 +458,7 @@ def document(
         (
             "Magnitudes",
             "Only numbers that mean the same in generator and catalogue: "
-            "`toile/evaluation/blind_magnitudes.py` says which. Errors of several numbers are added up in "
+            "`toile/blind/magnitudes.py` says which. Errors of several numbers are added up in "
             "prior deviations.\n\n" + shown(magnitudes_table(marks)),
         ),
         (

@@ -20,11 +20,11 @@ import numpy as np
 import pandas as pd
 
 from toile.atomic_file import write_text, written_atomically
+from toile.blind.calibration import evidence_of, verdict_by
 from toile.cli.diagnose import diagnose_scene
-from toile.diagnosis.calibration import evidence_of, verdict_by
 from toile.diagnosis.decision import Calibration, Weights, probabilities
 from toile.diagnosis.diagnose import SCREENING_FILE, TRACKED_FILE, DiagnosisSettings
-from toile.evaluation.diagnosis_record import DIAGNOSIS_FILE, GapReport
+from toile.diagnosis.record import DIAGNOSIS_FILE, GapReport
 from toile.generation.reality.base_scene import RealitySettings
 from toile.generation.reality.blind_set import PlannedScene, write_opaque
 from toile.generation.reality.from_blender import make_with_blender, why_no_blender

@@ -31,7 +31,6 @@ from scipy.ndimage import distance_transform_edt
 from torch import Tensor
 
 from toile.cli.machine import machine
-from toile.cloth.material import Material
 from toile.diagnosis.border import border, border_evidence
 from toile.diagnosis.colours import ColourFit, brightness_evidence, colours
 from toile.diagnosis.sharpness import ExposureFit, exposure_evidence, smear
@@ -46,27 +45,28 @@ from toile.effects.catalogue import CATALOGUE
 from toile.effects.contact import Contact
 from toile.effects.gusts import Gusts
 from toile.effects.obstacles import Plane
-from toile.fitting.effects import FitEffects
-from toile.fitting.gauss_newton.recipe import GrowingWindows
-from toile.fitting.gauss_newton.unknowns import Priors, WindowUnknowns
-from toile.fitting.gauss_newton.window import Motion, minimise_window, state_at
-from toile.fitting.parameters import ClothParameters
-from toile.fitting.reconstruction import Reconstruction
-from toile.fitting.scene_cloth import scene_cloth, scene_units, uniform
-from toile.fitting.terms.tracked_positions import PositionTermSettings, TrackedPositionTerm
 from toile.generation.motion import Shake
 from toile.generation.settings import GeneratorSettings
 from toile.generation.starting_point import settled_sheet, starting_point
 from toile.generation.textures import procedural_texture
 from toile.geometry.mesh import grid_faces, vertex_normals
+from toile.physics.implicit.integrators import BDF2
+from toile.physics.implicit.newton import NewtonSettings
+from toile.physics.implicit.simulator import ImplicitSimulator
+from toile.physics.linearizable import LinearizableSimulator
+from toile.physics.material import Material
+from toile.physics.rollout import rollout
+from toile.reconstruction.effects import FitEffects
+from toile.reconstruction.gauss_newton.recipe import GrowingWindows
+from toile.reconstruction.gauss_newton.unknowns import Priors, WindowUnknowns
+from toile.reconstruction.gauss_newton.window import Motion, minimise_window, state_at
+from toile.reconstruction.image_terms.tracked_positions import PositionTermSettings, TrackedPositionTerm
+from toile.reconstruction.parameters import ClothParameters
+from toile.reconstruction.problem import Reconstruction
+from toile.reconstruction.scene_cloth import scene_cloth, scene_units, uniform
 from toile.rendering import WarpRenderer
 from toile.scenes.scene import Scene
 from toile.scenes.texture_coordinates import project_coordinates
-from toile.simulators.implicit.integrators import BDF2
-from toile.simulators.implicit.newton import NewtonSettings
-from toile.simulators.implicit.simulator import ImplicitSimulator
-from toile.simulators.linearizable import LinearizableSimulator
-from toile.simulators.rollout import rollout
 
 Array = NDArray[np.float64]
 

@@ -20,14 +20,14 @@ import numpy as np
 import pandas as pd
 
 from toile.atomic_file import write_text
+from toile.blind.calibration import evidence_from, measured
 from toile.cli.diagnose import diagnose_scene
-from toile.diagnosis.calibration import evidence_from, measured
 from toile.diagnosis.decision import UNKNOWN, Calibration, probabilities
 from toile.diagnosis.diagnose import SCREENING_FILE, DiagnosisSettings
 from toile.diagnosis.gap_maps import stage_shares
 from toile.diagnosis.made_with import MADE_WITH_FILE, MadeWith
+from toile.diagnosis.record import DIAGNOSIS_FILE, GapReport
 from toile.diagnosis.verdict import verdict_of
-from toile.evaluation.diagnosis_record import DIAGNOSIS_FILE, GapReport
 
 OUTPUT = Path("outputs/independent")
 RESULTS = Path("docs/results")

@@ -20,7 +20,7 @@ from pathlib import Path
 import pandas as pd
 from results import ROOT, fit, machine, markdown, toile
 
-from toile.fitting.callbacks.chamfer import CHAMFER, COVERED, CYCLE
+from toile.learning.fit.callbacks.chamfer import CHAMFER, COVERED, CYCLE
 from toile.reports.figures import save_figure, stability_curves
 from toile.scenes.registry import load_scene
 

@@ -54,7 +54,7 @@ from surrogate.stability import (
 
 from toile.atomic_file import write_text
 from toile.errors import InputError
-from toile.simulators.surrogate.weights import describe_weights, packaged_weights
+from toile.physics.surrogate.weights import describe_weights, packaged_weights
 
 ROOT = Path(__file__).resolve().parent.parent
 # A window of the default recipe: six frames of two sub-steps.

@@ -28,15 +28,15 @@ from toile.cli.machine import machine
 from toile.geometry.io import write_mesh, write_point_cloud
 from toile.geometry.mesh import sample_surface
 from toile.geometry.surface import nearest_points
+from toile.preparation.template_making.axes import Axes
+from toile.preparation.template_making.mesh import MeshSurface
+from toile.preparation.template_making.points import PointsSurface
+from toile.preparation.template_making.sheet import SheetSurface
+from toile.preparation.template_making.still import Still
+from toile.preparation.template_making.surface import Layout, Surface
 from toile.rendering.warp.renderer import WarpRenderer
 from toile.scenes.registry import load_template
 from toile.scenes.template import Template
-from toile.scenes.template_making.axes import Axes
-from toile.scenes.template_making.mesh import MeshSurface
-from toile.scenes.template_making.points import PointsSurface
-from toile.scenes.template_making.sheet import SheetSurface
-from toile.scenes.template_making.still import Still
-from toile.scenes.template_making.surface import Layout, Surface
 
 NAMES = tuple(f"R{k}" for k in range(1, 10))
 N_VERTICES, N_BORDER = 3000, 124  # of the irregular mesh: inside, and along each side

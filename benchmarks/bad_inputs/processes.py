@@ -31,10 +31,10 @@ def warm_up() -> None:
     for name in (
         "hydra",
         "tensorboard.summary.writer.event_file_writer",
-        "toile.fitting.gauss_newton.recipe",
-        "toile.fitting.adam.recipe",
+        "toile.reconstruction.gauss_newton.recipe",
+        "toile.reconstruction.adam",
         "toile.rendering",
-        "toile.simulators.implicit.assembly",
+        "toile.physics.implicit.assembly",
     ):
         importlib.import_module(name)
     # What is there now is not to be copied because the garbage collector looks at it.

@@ -12,9 +12,9 @@ from torch import Tensor
 from surrogate.cases import Case
 from surrogate.contenders import FLOOR, SOLVER, Build
 from surrogate.reference import perturbed, reference
-from toile.cloth.state import State
-from toile.simulators.linearizable import LinearizableSimulator
-from toile.simulators.rollout import rollout
+from toile.physics.linearizable import LinearizableSimulator
+from toile.physics.rollout import rollout
+from toile.physics.state import State
 
 ACCELERATION = "acceleration error of one step"
 BALANCE = "out-of-balance force of one step"

@@ -20,17 +20,22 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from toile.cloth.cloth import Cloth, grid_cloth, template_rest_lengths
-from toile.cloth.material import Material
-from toile.cloth.state import State
-from toile.cloth.stencils import grid_stencils
-from toile.cloth.units import PAPER_TIME_STEP, NetworkUnits
-from toile.simulators.implicit.integrators import BDF2, BackwardEuler, Integrator
-from toile.training.distributions import normal, uniform
-from toile.training.forces import Accelerations, ForceSampler, acceleration_field
-from toile.training.held_corners import HeldCornerSampler, border_lengths, corner_indices, within_reach
-from toile.training.materials import MaterialRanges
-from toile.training.rest_shapes import RestShapes, RestShapeSampler
+from toile.learning.surrogate.distributions import normal, uniform
+from toile.learning.surrogate.forces import Accelerations, ForceSampler, acceleration_field
+from toile.learning.surrogate.held_corners import (
+    HeldCornerSampler,
+    border_lengths,
+    corner_indices,
+    within_reach,
+)
+from toile.learning.surrogate.materials import MaterialRanges
+from toile.learning.surrogate.rest_shapes import RestShapes, RestShapeSampler
+from toile.physics.cloth import Cloth, grid_cloth, template_rest_lengths
+from toile.physics.implicit.integrators import BDF2, BackwardEuler, Integrator
+from toile.physics.material import Material
+from toile.physics.state import State
+from toile.physics.stencils import grid_stencils
+from toile.physics.units import PAPER_TIME_STEP, NetworkUnits
 
 REGIMES = ("fits", "box", "corners")
 # Training draws from generators with seeds 0 + 1000003 k, its validation from 12345.

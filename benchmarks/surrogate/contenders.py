@@ -9,14 +9,14 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from toile.cloth.cloth import Cloth
-from toile.simulators.hybrid.simulator import HybridSimulator
-from toile.simulators.implicit.integrators import Integrator
-from toile.simulators.implicit.newton import NewtonSettings
-from toile.simulators.implicit.simulator import ImplicitSimulator
-from toile.simulators.linearizable import LinearizableSimulator
-from toile.simulators.surrogate.problem import StepProblem
-from toile.simulators.surrogate.simulator import SurrogateSimulator
+from toile.physics.cloth import Cloth
+from toile.physics.hybrid.simulator import HybridSimulator
+from toile.physics.implicit.integrators import Integrator
+from toile.physics.implicit.newton import NewtonSettings
+from toile.physics.implicit.simulator import ImplicitSimulator
+from toile.physics.linearizable import LinearizableSimulator
+from toile.physics.surrogate.problem import StepProblem
+from toile.physics.surrogate.simulator import SurrogateSimulator
 
 Build = Callable[[Cloth, float, Integrator], LinearizableSimulator]
 

@@ -9,10 +9,10 @@ from torch import Tensor
 from surrogate.cases import FIRST_SEED, Case, fits_case
 from surrogate.contenders import Build, solver
 from surrogate.saddles import Saddles
-from toile.cloth.material import Material
-from toile.cloth.state import State
-from toile.simulators.linearizable import LinearizableSimulator
-from toile.simulators.rollout import rollout
+from toile.physics.linearizable import LinearizableSimulator
+from toile.physics.material import Material
+from toile.physics.rollout import rollout
+from toile.physics.state import State
 
 LAST_FRAMES = 10
 TARGET = 0.02  # deviation of the target from the solver's motion, of the width

@@ -13,8 +13,8 @@ from torch import Tensor
 from surrogate.cases import Case
 from surrogate.contenders import CONVERGED, solver
 from toile.atomic_file import written_atomically
-from toile.simulators.base import SimulationError
-from toile.simulators.rollout import rollout
+from toile.physics.rollout import rollout
+from toile.physics.simulator import SimulationError
 
 PERTURBATION = 1e-4  # edge lengths
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 
-_NEWTON = logging.getLogger("toile.simulators.implicit.newton")
+_NEWTON = logging.getLogger("toile.physics.implicit.newton")
 
 
 class Saddles(logging.Handler):

@@ -16,9 +16,9 @@ from torch import Tensor
 from surrogate.cases import FIRST_SEED, Case, fits_case
 from surrogate.contenders import SOLVER, Build, solver
 from surrogate.saddles import Saddles
-from toile.cloth.material import Material
-from toile.cloth.state import State
-from toile.simulators.linearizable import LinearizableSimulator
+from toile.physics.linearizable import LinearizableSimulator
+from toile.physics.material import Material
+from toile.physics.state import State
 
 WARM_UP = 20  # steps by the solver from rest to the state where the clock starts
 STEPS = 5  # under the clock, one after the other

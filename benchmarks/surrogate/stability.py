@@ -14,14 +14,14 @@ from torch import Tensor
 
 from surrogate.cases import AREAL_DENSITY, BOX, EDGE, GRAVITY
 from surrogate.contenders import Build, solver
-from toile.cloth.cloth import Cloth, grid_cloth
-from toile.cloth.material import Material
-from toile.cloth.state import State
-from toile.cloth.units import NetworkUnits
-from toile.simulators.base import StepStatus
-from toile.simulators.implicit.assembly import Assembly
-from toile.simulators.implicit.integrators import BackwardEuler
-from toile.simulators.linearizable import LinearizableSimulator
+from toile.physics.cloth import Cloth, grid_cloth
+from toile.physics.implicit.assembly import Assembly
+from toile.physics.implicit.integrators import BackwardEuler
+from toile.physics.linearizable import LinearizableSimulator
+from toile.physics.material import Material
+from toile.physics.simulator import StepStatus
+from toile.physics.state import State
+from toile.physics.units import NetworkUnits
 
 GRAVITY_NUMBER = 0.05  # network units
 LEAN = 60.0  # of the sheet at the start [degrees]

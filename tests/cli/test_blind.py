@@ -10,13 +10,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from toile.evaluation.blind_sealing import BlindSet, SealKey
+from toile.blind.sealing import BlindSet, SealKey
 
 FAKE = '''
 import os
 from pathlib import Path
 import numpy as np
-from toile.evaluation.diagnosis_record import *
+from toile.diagnosis.record import *
 
 def oracle(scene, out, settings):
     """Always names gusts; as right as the set allows."""

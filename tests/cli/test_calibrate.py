@@ -11,7 +11,7 @@ from toile.cli.diagnose import diagnose_scene
 from toile.diagnosis.decision import Calibration
 from toile.diagnosis.diagnose import SCREENING_FILE
 from toile.diagnosis.made_with import MADE_WITH_FILE, MadeWith
-from toile.evaluation.diagnosis_record import DIAGNOSIS_FILE, GapReport
+from toile.diagnosis.record import DIAGNOSIS_FILE, GapReport
 
 SCENES = Path(__file__).parents[2] / "docs/results/calibration_scenes.csv"
 SCENE = (

@@ -15,11 +15,11 @@ import yaml
 from toile.cli.diagnose import diagnose_scene
 from toile.cli.main import main
 from toile.diagnosis.diagnose import HELD_OUT_FILE, SCREENING_FILE, TRACKED_FILE
+from toile.diagnosis.record import DIAGNOSIS_FILE, GapReport
 from toile.diagnosis.stage_store import StageStore
 from toile.diagnosis.stage_times import TIMES_FILE, read_times
 from toile.diagnosis.stages import FILES
 from toile.errors import InputError
-from toile.evaluation.diagnosis_record import DIAGNOSIS_FILE, GapReport
 
 SCENE = (
     "settings.name=clip",

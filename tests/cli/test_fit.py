@@ -16,8 +16,8 @@ import pytest
 import torch
 
 from toile.cli.fit_tries import SECOND_TRY
-from toile.fitting.lost_cloth import LostClothGuard
-from toile.fitting.module import FitModule
+from toile.learning.fit.module import FitModule
+from toile.reconstruction.lost_cloth import LostClothGuard
 from toile.reports.run_folder import RunFolder, read_history, read_metrics, read_trajectory
 from toile.scenes.native import write_native
 from toile.scenes.scene import Scene

@@ -15,8 +15,8 @@ from PIL import Image
 
 from toile.cli.configuration import name_scenes
 from toile.cli.path_arguments import quote_paths
-from toile.fitting.module import FitModule
 from toile.geometry.io import write_point_cloud
+from toile.learning.fit.module import FitModule
 from toile.reports.run_folder import RunFolder
 from toile.scenes.native import write_native
 

@@ -18,7 +18,7 @@ import torch
 from filelock import FileLock
 
 from toile.cli.alone import HOLDER, LOCK
-from toile.fitting.module import FitModule
+from toile.learning.fit.module import FitModule
 from toile.reports.overlay import write_video
 from toile.reports.run_folder import RunFolder
 from toile.scenes.native import write_native

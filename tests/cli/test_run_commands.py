@@ -153,7 +153,7 @@ def test_full_errors_on_request(toile, run_folder: RunFolder, monkeypatch, capsy
 
 def test_failed_simulation_has_its_own_status(toile, run_folder: RunFolder, monkeypatch) -> None:
     from toile.cli import evaluate
-    from toile.simulators.base import SimulationError
+    from toile.physics.simulator import SimulationError
 
     def fail(*_: object, **__: object) -> None:
         raise SimulationError("simulation failed at frame 3")

@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from toile.fitting.module import FitModule
+from toile.learning.fit.module import FitModule
 from toile.reports.run_folder import RunFolder, read_trajectory
 from toile.scenes.native import write_native
 from toile.scenes.scene import Scene

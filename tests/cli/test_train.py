@@ -15,10 +15,10 @@ import torch
 import yaml
 
 from toile.cli.resume import checkpoint_path
+from toile.learning.surrogate.callbacks.checkpoint import StepCheckpoint
+from toile.learning.surrogate.module import SurrogateTraining
+from toile.physics.surrogate.weights import describe_weights, load_weights
 from toile.reports.run_folder import RunFolder, read_history, read_metrics
-from toile.simulators.surrogate.weights import describe_weights, load_weights
-from toile.training.callbacks.checkpoint import StepCheckpoint
-from toile.training.module import SurrogateTraining
 
 Toile = Callable[..., Any]
 TINY = ("train", "training=tiny", "threads=1")

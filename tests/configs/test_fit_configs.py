@@ -23,7 +23,7 @@ SHARED: dict[str, dict[str, Any]] = {
     "hybrid": {"simulator.*": "simulator=hybrid"},
     "backward_euler": {"simulator.*": "simulator/integrator=backward_euler"},
     "one_step_per_frame": {"simulator.substeps": 1},
-    "uniform_rest_lengths": {"cloth.rest_lengths._target_": "toile.fitting.scene_cloth.uniform"},
+    "uniform_rest_lengths": {"cloth.rest_lengths._target_": "toile.reconstruction.scene_cloth.uniform"},
     "uv_from_file": {"scene.texture_coordinates._target_": _FILE},
     "supersampled_renderer": {"renderer.supersampling": 2},
     "reference_renderer": {"renderer._target_": "toile.rendering.ReferenceRenderer"},
@@ -47,7 +47,8 @@ OF_OPTIMIZATION: dict[str, dict[str, dict[str, Any]]] = {
         "no_turbulence": {f"{_TRACK}.priors.turbulence": None},
         "no_uv": {
             "scene.texture_coordinates._target_": _FILE,
-            f"{_TRACK}.term.reference._target_": "toile.fitting.terms.reference_image.drawn_template",
+            f"{_TRACK}.term.reference._target_": "toile.reconstruction.image_terms."
+            "reference_image.drawn_template",
         },
         "no_successive": {
             f"{_TRACK}.windows.lag": None,

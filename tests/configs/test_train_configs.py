@@ -9,8 +9,8 @@ import pytest
 from hydra import compose, initialize_config_dir
 
 from toile.cli.configuration import CONF, instantiate, register_resolvers
-from toile.training.schedules import Stairs, WarmCosine
-from toile.training.settings import TrainingSettings
+from toile.learning.surrogate.schedules import Stairs, WarmCosine
+from toile.learning.surrogate.settings import TrainingSettings
 
 
 @pytest.fixture(autouse=True)

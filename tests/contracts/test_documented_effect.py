@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 import torch
 
-from toile.cloth.cloth import grid_cloth
-from toile.cloth.material import Material
-from toile.cloth.state import State
 from toile.diagnosis.effect_columns import Instant, force_columns
 from toile.diagnosis.sensitivities import StepForces
 from toile.effects.base import Effect, Surroundings
 from toile.effects.setting import setting
 from toile.errors import InputError
-from toile.simulators.implicit.integrators import BDF2
-from toile.simulators.implicit.newton import NewtonSettings
-from toile.simulators.implicit.simulator import ImplicitSimulator
-from toile.simulators.rollout import rollout
+from toile.physics.cloth import grid_cloth
+from toile.physics.implicit.integrators import BDF2
+from toile.physics.implicit.newton import NewtonSettings
+from toile.physics.implicit.simulator import ImplicitSimulator
+from toile.physics.material import Material
+from toile.physics.rollout import rollout
+from toile.physics.state import State
 
 DOCS = Path(__file__).parents[2] / "docs" / "diagnosis.md"
 FRAMES, FPS, SUBSTEPS, SIDE = 6, 25.0, 4, 0.4

@@ -9,9 +9,6 @@ from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
 from toile.cli.configuration import CONF
-from toile.cloth.cloth import grid_cloth
-from toile.cloth.material import Material
-from toile.cloth.state import State
 from toile.effects.anchor_slip import AnchorSlip
 from toile.effects.base import (
     AnchorEffect,
@@ -33,12 +30,15 @@ from toile.effects.obstacles import Plane, Sphere, TriangleMesh
 from toile.effects.setting import active_terms, setting
 from toile.errors import InputError
 from toile.geometry.camera import Camera
-from toile.simulators.implicit.integrators import BDF2, BackwardEuler
-from toile.simulators.implicit.linearized import LinearizedRollout, Perturbation
-from toile.simulators.implicit.newton import NewtonSettings
-from toile.simulators.implicit.simulator import ImplicitSimulator
-from toile.simulators.rollout import rollout
-from toile.simulators.surrogate.simulator import SurrogateSimulator
+from toile.physics.cloth import grid_cloth
+from toile.physics.implicit.integrators import BDF2, BackwardEuler
+from toile.physics.implicit.linearized import LinearizedRollout, Perturbation
+from toile.physics.implicit.newton import NewtonSettings
+from toile.physics.implicit.simulator import ImplicitSimulator
+from toile.physics.material import Material
+from toile.physics.rollout import rollout
+from toile.physics.state import State
+from toile.physics.surrogate.simulator import SurrogateSimulator
 
 GRID, SIZE, FRAMES, FPS, SUBSTEPS = (6, 5), (0.25, 0.2), 6, 40.0, 2
 TIGHT = NewtonSettings(tolerance=1e-11)

@@ -5,16 +5,16 @@ import dataclasses
 import pytest
 import torch
 
-from toile.cloth.cloth import grid_cloth
-from toile.cloth.material import Material
-from toile.cloth.state import State
-from toile.simulators.base import SimulationError, Simulator, StepResult, StepStatus
-from toile.simulators.hybrid.simulator import HybridSimulator
-from toile.simulators.implicit.integrators import BDF2, BackwardEuler
-from toile.simulators.implicit.newton import NewtonSettings
-from toile.simulators.implicit.simulator import ImplicitSimulator
-from toile.simulators.rollout import rollout
-from toile.simulators.surrogate.simulator import SurrogateSimulator
+from toile.physics.cloth import grid_cloth
+from toile.physics.hybrid.simulator import HybridSimulator
+from toile.physics.implicit.integrators import BDF2, BackwardEuler
+from toile.physics.implicit.newton import NewtonSettings
+from toile.physics.implicit.simulator import ImplicitSimulator
+from toile.physics.material import Material
+from toile.physics.rollout import rollout
+from toile.physics.simulator import SimulationError, Simulator, StepResult, StepStatus
+from toile.physics.state import State
+from toile.physics.surrogate.simulator import SurrogateSimulator
 
 GRID, SIZE, STEP = (5, 6), (0.2, 0.25), 1 / 60
 

@@ -11,9 +11,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from toile.cloth.cloth import Cloth
-from toile.cloth.material import Material
-from toile.cloth.state import State
 from toile.effects.air_drag import AirDrag
 from toile.effects.anchor_slip import AnchorSlip
 from toile.effects.anisotropic_stiffness import AnisotropicStiffness
@@ -23,20 +20,23 @@ from toile.effects.gravity_tilt import GravityTilt
 from toile.effects.gusts import Gusts
 from toile.effects.internal_damping import InternalDamping
 from toile.effects.nonuniform_density import NonuniformDensity
-from toile.fitting.effects import FitEffects
-from toile.fitting.gauss_newton.conjugate_gradients import Vector, axpy
-from toile.fitting.gauss_newton.unknowns import Priors, WindowUnknowns
-from toile.fitting.gauss_newton.window import Motion, state_at
-from toile.fitting.parameters import ClothParameters
-from toile.fitting.reconstruction import Reconstruction
-from toile.fitting.scene_cloth import scene_cloth, scene_units, uniform
+from toile.physics.cloth import Cloth
+from toile.physics.implicit.integrators import BDF2
+from toile.physics.implicit.newton import NewtonSettings
+from toile.physics.implicit.simulator import ImplicitSimulator
+from toile.physics.material import Material
+from toile.physics.rollout import rollout
+from toile.physics.state import State
+from toile.physics.step_terms import StepTerm
+from toile.reconstruction.effects import FitEffects
+from toile.reconstruction.gauss_newton.conjugate_gradients import Vector, axpy
+from toile.reconstruction.gauss_newton.unknowns import Priors, WindowUnknowns
+from toile.reconstruction.gauss_newton.window import Motion, state_at
+from toile.reconstruction.parameters import ClothParameters
+from toile.reconstruction.problem import Reconstruction
+from toile.reconstruction.scene_cloth import scene_cloth, scene_units, uniform
 from toile.rendering import WarpRenderer
 from toile.scenes.scene import Scene
-from toile.simulators.implicit.integrators import BDF2
-from toile.simulators.implicit.newton import NewtonSettings
-from toile.simulators.implicit.simulator import ImplicitSimulator
-from toile.simulators.rollout import rollout
-from toile.simulators.step_terms import StepTerm
 
 PRIORS = Priors(2.0, 1.0, 2.0, 0.01, 3.0, 0.5, 1.0, walk=False, effects=1.0)
 STIFFNESS = np.array([1500.0, 10.0, 0.5])

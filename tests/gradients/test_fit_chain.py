@@ -9,16 +9,16 @@ import pytest
 import torch
 from torch import Tensor
 
-from toile.fitting.losses.image import ImageLoss
-from toile.fitting.parameters import ClothParameters
-from toile.fitting.reconstruction import Reconstruction
-from toile.fitting.scene_cloth import scene_cloth, scene_units, template
+from toile.physics.implicit.integrators import BDF2
+from toile.physics.implicit.newton import NewtonSettings
+from toile.physics.implicit.simulator import ImplicitSimulator
+from toile.reconstruction.losses.image import ImageLoss
+from toile.reconstruction.parameters import ClothParameters
+from toile.reconstruction.problem import Reconstruction
+from toile.reconstruction.scene_cloth import scene_cloth, scene_units, template
 from toile.rendering import WarpRenderer
 from toile.rendering.base import RenderedImages
 from toile.scenes.scene import Scene
-from toile.simulators.implicit.integrators import BDF2
-from toile.simulators.implicit.newton import NewtonSettings
-from toile.simulators.implicit.simulator import ImplicitSimulator
 
 # Step of the central differences in the unit of the parameter (large enough that float32 images change by far
 # more than their rounding), and the largest relative error that was measured.

@@ -7,15 +7,15 @@ import pytest
 import torch
 from torch.autograd import gradcheck
 
-from toile.cloth.cloth import grid_cloth
-from toile.cloth.material import Material
-from toile.cloth.state import State
-from toile.simulators.frame_steps import FrameSteps
-from toile.simulators.implicit.integrators import BDF2, BackwardEuler
-from toile.simulators.implicit.linearized import LinearizedRollout, Perturbation
-from toile.simulators.implicit.newton import NewtonSettings
-from toile.simulators.implicit.simulator import ImplicitSimulator
-from toile.simulators.rollout import rollout
+from toile.physics.cloth import grid_cloth
+from toile.physics.frame_steps import FrameSteps
+from toile.physics.implicit.integrators import BDF2, BackwardEuler
+from toile.physics.implicit.linearized import LinearizedRollout, Perturbation
+from toile.physics.implicit.newton import NewtonSettings
+from toile.physics.implicit.simulator import ImplicitSimulator
+from toile.physics.material import Material
+from toile.physics.rollout import rollout
+from toile.physics.state import State
 
 GRID, SIZE, FRAMES = (4, 5), (0.15, 0.2), 4
 UNEVEN = FrameSteps((0, 3, 4, 6))

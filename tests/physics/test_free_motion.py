@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 import torch
 
-from toile.cloth.cloth import grid_cloth
-from toile.cloth.material import Material
-from toile.cloth.state import State
-from toile.simulators.implicit.integrators import BDF2, BackwardEuler
-from toile.simulators.implicit.newton import NewtonSettings
-from toile.simulators.implicit.simulator import ImplicitSimulator
-from toile.simulators.rollout import rollout
+from toile.physics.cloth import grid_cloth
+from toile.physics.implicit.integrators import BDF2, BackwardEuler
+from toile.physics.implicit.newton import NewtonSettings
+from toile.physics.implicit.simulator import ImplicitSimulator
+from toile.physics.material import Material
+from toile.physics.rollout import rollout
+from toile.physics.state import State
 
 GRAVITY = torch.tensor([0.0, 9.81, 0.0], dtype=torch.float64)
 GRID, SIZE = (7, 12), (0.3, 0.5)

@@ -4,17 +4,17 @@ import numpy as np
 import pytest
 import torch
 
-from toile.cloth.cloth import grid_cloth
-from toile.cloth.energies.bending import bending_energy
-from toile.cloth.energies.shearing import shearing_energy
-from toile.cloth.energies.stretching import stretching_energy
-from toile.cloth.material import Material
-from toile.cloth.state import State
-from toile.simulators.base import SimulationError, StepStatus
-from toile.simulators.implicit.integrators import BDF2, BackwardEuler
-from toile.simulators.implicit.newton import NewtonSettings
-from toile.simulators.implicit.simulator import ImplicitSimulator
-from toile.simulators.rollout import rollout
+from toile.physics.cloth import grid_cloth
+from toile.physics.energies.bending import bending_energy
+from toile.physics.energies.shearing import shearing_energy
+from toile.physics.energies.stretching import stretching_energy
+from toile.physics.implicit.integrators import BDF2, BackwardEuler
+from toile.physics.implicit.newton import NewtonSettings
+from toile.physics.implicit.simulator import ImplicitSimulator
+from toile.physics.material import Material
+from toile.physics.rollout import rollout
+from toile.physics.simulator import SimulationError, StepStatus
+from toile.physics.state import State
 
 G = 9.81
 

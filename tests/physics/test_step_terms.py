@@ -6,12 +6,6 @@ from itertools import pairwise
 import pytest
 import torch
 
-from toile.cloth.cloth import grid_cloth
-from toile.cloth.energies.bending import bending_energy
-from toile.cloth.energies.shearing import shearing_energy
-from toile.cloth.energies.stretching import stretching_energy
-from toile.cloth.material import Material
-from toile.cloth.state import State
 from toile.effects.air_drag import AirDrag
 from toile.effects.anisotropic_stiffness import AnisotropicStiffness
 from toile.effects.contact import Contact
@@ -21,12 +15,18 @@ from toile.effects.obstacles import Plane
 from toile.effects.rest_curvature import RestCurvature
 from toile.effects.strain_stiffening import StrainStiffening
 from toile.geometry.mesh import grid_faces, vertex_normals
-from toile.simulators.hybrid.simulator import HybridSimulator
-from toile.simulators.implicit.integrators import BDF2, BackwardEuler
-from toile.simulators.implicit.newton import NewtonSettings
-from toile.simulators.implicit.simulator import ImplicitSimulator
-from toile.simulators.rollout import rollout
-from toile.simulators.step_terms import StepContext
+from toile.physics.cloth import grid_cloth
+from toile.physics.energies.bending import bending_energy
+from toile.physics.energies.shearing import shearing_energy
+from toile.physics.energies.stretching import stretching_energy
+from toile.physics.hybrid.simulator import HybridSimulator
+from toile.physics.implicit.integrators import BDF2, BackwardEuler
+from toile.physics.implicit.newton import NewtonSettings
+from toile.physics.implicit.simulator import ImplicitSimulator
+from toile.physics.material import Material
+from toile.physics.rollout import rollout
+from toile.physics.state import State
+from toile.physics.step_terms import StepContext
 
 TIGHT = NewtonSettings(tolerance=1e-11)
 CLOSE = NewtonSettings(tolerance=1e-8)

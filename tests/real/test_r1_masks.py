@@ -8,13 +8,13 @@ from __future__ import annotations
 import pytest
 import torch
 
+from toile.preparation.segmentation.cleaning import Cleaning
+from toile.preparation.segmentation.dark_background import DarkBackground
+from toile.preparation.segmentation.grabcut import GrabCut
+from toile.preparation.video import open_clip
 from toile.scenes.images import read_mask
 from toile.scenes.masks import drop_small_components
 from toile.scenes.registry import data_folder
-from toile.scenes.segmentation.cleaning import Cleaning
-from toile.scenes.segmentation.dark_background import DarkBackground
-from toile.scenes.segmentation.grabcut import GrabCut
-from toile.scenes.video import open_clip
 
 EVERY, N_FRAMES = 20, 3
 

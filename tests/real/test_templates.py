@@ -10,14 +10,14 @@ import torch
 
 from toile.geometry.io import write_mesh
 from toile.geometry.surface import nearest_points
+from toile.preparation.template_making.axes import Axes
+from toile.preparation.template_making.intrinsics import Intrinsics
+from toile.preparation.template_making.making import make_template
+from toile.preparation.template_making.mesh import MeshSurface
+from toile.preparation.template_making.points import PointsSurface
+from toile.preparation.template_making.still import Still, read_still
+from toile.preparation.template_making.surface import Layout
 from toile.scenes.registry import data_folder, load_template
-from toile.scenes.template_making.axes import Axes
-from toile.scenes.template_making.intrinsics import Intrinsics
-from toile.scenes.template_making.making import make_template
-from toile.scenes.template_making.mesh import MeshSurface
-from toile.scenes.template_making.points import PointsSurface
-from toile.scenes.template_making.still import Still, read_still
-from toile.scenes.template_making.surface import Layout
 
 OPENCV = Axes(np.eye(3).tolist(), (0, 0, 0), 1.0)
 

@@ -7,19 +7,19 @@ from pathlib import Path
 
 import pytest
 
+from toile.blind.grading import _graded_before
+from toile.blind.run import Predictions, read_predictions
+from toile.blind.sealing import BlindSet, read_commitments
+from toile.diagnosis.record import GapReport
 from toile.diagnosis.stage_times import read_times
 from toile.errors import InputError
-from toile.evaluation.blind_grading import _graded_before
-from toile.evaluation.blind_run import Predictions, read_predictions
-from toile.evaluation.blind_sealing import BlindSet, read_commitments
-from toile.evaluation.diagnosis_record import GapReport
 from toile.generation.truth import TRUTH_FILE, read_truth
 from toile.json_file import parse_json_object, read_json_object
+from toile.preparation.template_making.intrinsics import Intrinsics
+from toile.preparation.template_making.still import VIDEO, _frame_rate
 from toile.reports.run_folder import RunFolder, read_metrics
 from toile.scenes.native import load_native
 from toile.scenes.phi_sft import load_phi_sft
-from toile.scenes.template_making.intrinsics import Intrinsics
-from toile.scenes.template_making.still import VIDEO, _frame_rate
 
 DEEP = b"[" * 100_000
 

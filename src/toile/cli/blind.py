@@ -19,13 +19,13 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from toile import __version__
 from toile.atomic_file import write_text
+from toile.blind.grading import grade_set, write_grade
+from toile.blind.run import Predictions, run_blind, write_predictions
+from toile.blind.sealing import BlindSet, Sealed, SealKey
 from toile.cli.configuration import instantiate
 from toile.cli.failures import CommandError
 from toile.cli.terminal import print_path
 from toile.errors import InputError
-from toile.evaluation.blind_grading import grade_set, write_grade
-from toile.evaluation.blind_run import Predictions, run_blind, write_predictions
-from toile.evaluation.blind_sealing import BlindSet, Sealed, SealKey
 from toile.generation.reality.base_scene import RealitySettings
 from toile.generation.reality.blind_set import (
     Composition,

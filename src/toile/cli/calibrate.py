@@ -9,10 +9,7 @@ import pandas as pd
 from omegaconf import DictConfig, ListConfig
 
 from toile.atomic_file import write_text
-from toile.cli.configuration import instantiate
-from toile.cli.made_with import made_with_of
-from toile.cli.terminal import print_path
-from toile.diagnosis.calibration import (
+from toile.blind.calibration import (
     calibrate,
     cases_of,
     left_out,
@@ -22,6 +19,9 @@ from toile.diagnosis.calibration import (
     summary,
     write_table,
 )
+from toile.cli.configuration import instantiate
+from toile.cli.made_with import made_with_of
+from toile.cli.terminal import print_path
 from toile.diagnosis.decision import Calibration, probabilities
 from toile.diagnosis.diagnose import DiagnosisSettings
 from toile.diagnosis.made_with import MadeWith

@@ -25,13 +25,13 @@ from toile.cli.settings import check_settings
 from toile.cli.terminal import print_path
 from toile.diagnosis.diagnose import DiagnosisSettings, check_problem, diagnose
 from toile.diagnosis.made_with import MadeWith
+from toile.diagnosis.record import DIAGNOSIS_FILE, GapReport
 from toile.diagnosis.workers import Workers
 from toile.effects.base import Effect
 from toile.errors import InputError
-from toile.evaluation.diagnosis_record import DIAGNOSIS_FILE, GapReport
-from toile.fitting.gauss_newton.recipe import TrackingRecipe
-from toile.fitting.parameters import ClothParameters
-from toile.fitting.reconstruction import Reconstruction
+from toile.reconstruction.gauss_newton.recipe import TrackingRecipe
+from toile.reconstruction.parameters import ClothParameters
+from toile.reconstruction.problem import Reconstruction
 from toile.reports.diagnosis_arrays import DiagnosisArrays
 from toile.reports.diagnosis_dashboard import write_diagnosis_dashboard
 from toile.reports.diagnosis_wording import mark

@@ -9,8 +9,8 @@ from omegaconf import DictConfig, ListConfig
 from toile.cli.run_scene import run_scene
 from toile.cli.terminal import print_path
 from toile.errors import InputError
-from toile.reports.export.animation import ClothAnimation
-from toile.reports.export.formats import FORMATS, export_animation
+from toile.export.animation import ClothAnimation
+from toile.export.formats import FORMATS, export_animation
 from toile.reports.run_folder import open_run_folder, read_trajectory
 
 

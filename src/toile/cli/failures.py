@@ -42,7 +42,7 @@ def explain(error: BaseException) -> Failure | None:
     """The message for a mistake of the user or a failed simulation; None for a mistake in the program."""
     # A simulation can only have failed where it was loaded; loading it, and PyTorch, for a typing error would
     # make the user wait for the message.
-    simulators = sys.modules.get("toile.simulators.base")
+    simulators = sys.modules.get("toile.physics.simulator")
     disk = disk_failure(error)
     if disk is not None:
         # Python does not always know the file.

@@ -26,11 +26,12 @@ from toile.cli.scene_warnings import scene_warnings
 from toile.cli.terminal import print_evaluation, print_path
 from toile.errors import InputError
 from toile.evaluation.evaluate import EvaluationResult, evaluate
-from toile.fitting.effects import FitEffects
-from toile.fitting.parameters import ClothParameters
-from toile.fitting.quiet import quiet_lightning
-from toile.fitting.reconstruction import Reconstruction
-from toile.fitting.scene_cloth import scene_units
+from toile.learning.quiet import quiet_lightning
+from toile.physics.frame_steps import FrameSteps
+from toile.reconstruction.effects import FitEffects
+from toile.reconstruction.parameters import ClothParameters
+from toile.reconstruction.problem import Reconstruction
+from toile.reconstruction.scene_cloth import scene_units
 from toile.reports.run_folder import (
     create_run_folder,
     read_metrics,
@@ -39,7 +40,6 @@ from toile.reports.run_folder import (
     write_overrides,
 )
 from toile.scenes.scene import Scene
-from toile.simulators.frame_steps import FrameSteps
 
 log = logging.getLogger(__name__)
 

@@ -13,13 +13,16 @@ import torch
 from torch import Tensor
 
 from toile.cli.machine import machine
-from toile.cloth.energies.bending import bending_energy
-from toile.cloth.energies.shearing import shearing_energy
-from toile.cloth.energies.stretching import stretching_energy
 from toile.evaluation.evaluate import EvaluationResult
 from toile.evaluation.out_of_balance import OutOfBalanceForce, out_of_balance_force
-from toile.fitting.module import FitModule
-from toile.fitting.reconstruction import Reconstruction
+from toile.learning.fit.module import FitModule
+from toile.physics.energies.bending import bending_energy
+from toile.physics.energies.shearing import shearing_energy
+from toile.physics.energies.stretching import stretching_energy
+from toile.physics.implicit.terms import term_forces
+from toile.physics.simulator import SimulationError
+from toile.physics.step_terms import ElementTerm, StepContext
+from toile.reconstruction.problem import Reconstruction
 from toile.reports.figures import (
     error_over_frames,
     loss_curves,
@@ -33,9 +36,6 @@ from toile.reports.run_folder import RunFolder, write_history, write_metrics, wr
 from toile.reports.run_report import result_page, true_points
 from toile.scenes.scene import Scene
 from toile.scenes.validation import uncropped_camera
-from toile.simulators.base import SimulationError
-from toile.simulators.implicit.terms import term_forces
-from toile.simulators.step_terms import ElementTerm, StepContext
 
 _SIDE_VIEWS = 4
 

@@ -18,10 +18,10 @@ from toile.cli.configuration import instantiate
 from toile.cli.fit_results import final_trajectory
 from toile.cli.resume import checkpoint_path
 from toile.cli.trainer import make_trainer
-from toile.fitting.lost_cloth import LostClothGuard
-from toile.fitting.module import STATE, Cycles, FitModule
-from toile.fitting.recipe import Recipe
-from toile.fitting.reconstruction import Reconstruction
+from toile.learning.fit.module import STATE, Cycles, FitModule
+from toile.reconstruction.lost_cloth import LostClothGuard
+from toile.reconstruction.problem import Reconstruction
+from toile.reconstruction.recipe import Recipe
 from toile.reports.run_folder import RunFolder
 from toile.scenes.scene import Scene
 

@@ -15,6 +15,10 @@ from rich.text import Text
 from toile.atomic_file import written_atomically
 from toile.cli.configuration import instantiate
 from toile.cli.terminal import console, print_path
+from toile.preparation.segmentation.base import Segmentation
+from toile.preparation.segmentation.checks import MaskMeasures, check_sequence
+from toile.preparation.segmentation.writing import FOLDERS, write_frames
+from toile.preparation.video import DESCRIPTION, open_clip
 from toile.progress import Shown, counted
 from toile.reports.mask_pictures import mask_picture, rulers
 from toile.reports.overlay import Picture, write_video
@@ -24,10 +28,6 @@ from toile.scenes.frame_times import check_number_of_frames
 from toile.scenes.images import read_mask, read_rgb, write_levels
 from toile.scenes.native import FILES
 from toile.scenes.picture_checks import PictureChecks
-from toile.scenes.segmentation.base import Segmentation
-from toile.scenes.segmentation.checks import MaskMeasures, check_sequence
-from toile.scenes.segmentation.writing import FOLDERS, write_frames
-from toile.scenes.video import DESCRIPTION, open_clip
 
 log = logging.getLogger(__name__)
 

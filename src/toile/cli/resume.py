@@ -10,7 +10,7 @@ import yaml
 
 from toile.cli.path_arguments import quoted
 from toile.errors import InputError
-from toile.fitting.checkpoints import LAST
+from toile.learning.checkpoints import LAST
 from toile.reports.run_folder import RunFolder, read_config
 from toile.reports.run_settings import WITHOUT_INFLUENCE, read_settings
 

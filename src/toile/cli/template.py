@@ -10,14 +10,14 @@ from rich.text import Text
 from toile.cli.configuration import instantiate
 from toile.cli.terminal import console, print_path
 from toile.errors import InputError
+from toile.preparation.template_making.making import MadeTemplate, make_template
+from toile.preparation.template_making.still import read_still
+from toile.preparation.template_making.surface import Layout
+from toile.preparation.template_making.writing import DESCRIPTION, require_no_template, write_template
 from toile.reports.figures import save_figure
 from toile.reports.template_picture import template_picture
 from toile.scenes.native import FILES
 from toile.scenes.registry import find_scene
-from toile.scenes.template_making.making import MadeTemplate, make_template
-from toile.scenes.template_making.still import read_still
-from toile.scenes.template_making.surface import Layout
-from toile.scenes.template_making.writing import DESCRIPTION, require_no_template, write_template
 
 PICTURE = "template.png"
 

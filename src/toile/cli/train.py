@@ -22,7 +22,14 @@ from toile.cli.machine import machine
 from toile.cli.resume import last_checkpoint
 from toile.cli.terminal import print_path
 from toile.cli.trainer import make_trainer
-from toile.fitting.quiet import quiet_lightning
+from toile.learning.quiet import quiet_lightning
+from toile.learning.surrogate.callbacks.stopping import StopBetweenSteps
+from toile.learning.surrogate.module import STATE, SurrogateTraining
+from toile.learning.surrogate.pictures import residual_curve
+from toile.learning.surrogate.settings import TrainingSettings
+from toile.learning.surrogate.steps import Steps
+from toile.physics.surrogate.surrogate import Surrogate
+from toile.physics.surrogate.weights import save_weights
 from toile.reports.figures import save_figure
 from toile.reports.run_folder import (
     RunFolder,
@@ -33,13 +40,6 @@ from toile.reports.run_folder import (
     write_history,
     write_metrics,
 )
-from toile.simulators.surrogate.surrogate import Surrogate
-from toile.simulators.surrogate.weights import save_weights
-from toile.training.callbacks.stopping import StopBetweenSteps
-from toile.training.module import STATE, SurrogateTraining
-from toile.training.pictures import residual_curve
-from toile.training.settings import TrainingSettings
-from toile.training.steps import Steps
 
 log = logging.getLogger(__name__)
 

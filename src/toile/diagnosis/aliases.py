@@ -7,7 +7,7 @@ import numpy as np
 from toile.diagnosis.continuity import Discrepancy
 from toile.diagnosis.decision import Calibration, Weights
 from toile.diagnosis.mechanics import Mechanics
-from toile.evaluation.diagnosis_record import Alias
+from toile.diagnosis.record import Alias
 
 
 def alias_of(mechanics: Mechanics, size: Discrepancy, calibration: Calibration, weights: Weights) -> Alias:

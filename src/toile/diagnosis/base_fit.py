@@ -10,7 +10,6 @@ import torch
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve
 
-from toile.cloth.state import State
 from toile.diagnosis.continuity import Discrepancy, Link, WindowSystem
 from toile.diagnosis.evidence import Evidence
 from toile.diagnosis.positive import positive_factor
@@ -18,7 +17,8 @@ from toile.diagnosis.sensitivities import StepForces
 from toile.diagnosis.shooting import Base, Shooting, WindowMotion
 from toile.diagnosis.workers import ALONE, Workers
 from toile.effects.base import Effect, Surroundings
-from toile.simulators.linearizable import LinearizableSimulator
+from toile.physics.linearizable import LinearizableSimulator
+from toile.physics.state import State
 
 Array = NDArray[np.float64]
 

@@ -15,11 +15,11 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 
 from toile.diagnosis.effect_columns import derivatives
 from toile.effects.base import BrightnessEffect, Effect
-from toile.fitting.gauss_newton.recipe import visible
-from toile.fitting.reconstruction import Reconstruction
-from toile.fitting.terms.texture_points import grid_points
 from toile.geometry.mesh import grid_faces, vertex_normals
 from toile.limits import Count, Fraction, NonNegative, Positive, Unit
+from toile.reconstruction.gauss_newton.recipe import visible
+from toile.reconstruction.image_terms.texture_points import grid_points
+from toile.reconstruction.problem import Reconstruction
 
 Array = NDArray[np.float64]
 

@@ -12,8 +12,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from toile.diagnosis.made_with import MadeWith
+from toile.diagnosis.record import CalibrationUse
 from toile.errors import InputError
-from toile.evaluation.diagnosis_record import CalibrationUse
 from toile.limits import Finite, NonNegative, Positive
 
 NONE = "none"

@@ -46,6 +46,7 @@ from toile.diagnosis.mechanics import (
 )
 from toile.diagnosis.model_grid import ModelGrid, model_grids
 from toile.diagnosis.numerics import StepRefinement, halved, time_step_error
+from toile.diagnosis.record import CalibrationUse, EffectReport, GapReport, Protocol, Where
 from toile.diagnosis.refits import Race, RefitSettings, refits, settled
 from toile.diagnosis.sharpness import ExposureFit, ExposureSettings, exposure_evidence, smear
 from toile.diagnosis.shooting import Shooting, ShootingSettings
@@ -80,14 +81,13 @@ from toile.effects.anchor_slip import AnchorSlip
 from toile.effects.base import BrightnessEffect, CameraEffect, Effect, ExposureEffect, MaskEffect
 from toile.effects.catalogue import STAGES
 from toile.errors import InputError
-from toile.evaluation.diagnosis_record import CalibrationUse, EffectReport, GapReport, Protocol, Where
-from toile.fitting.gauss_newton.recipe import TrackingRecipe
-from toile.fitting.lost_cloth import LEAST, first_lost, outline_overlap
-from toile.fitting.reconstruction import Reconstruction
 from toile.limits import Count, CountOrZero, Fraction, Positive, Seed, Unit
+from toile.physics.implicit.integrators import BDF2
+from toile.physics.implicit.simulator import ImplicitSimulator
+from toile.reconstruction.gauss_newton.recipe import TrackingRecipe
+from toile.reconstruction.lost_cloth import LEAST, first_lost, outline_overlap
+from toile.reconstruction.problem import Reconstruction
 from toile.scenes.scene import Scene
-from toile.simulators.implicit.integrators import BDF2
-from toile.simulators.implicit.simulator import ImplicitSimulator
 
 T = TypeVar("T")
 Array = NDArray[np.float64]

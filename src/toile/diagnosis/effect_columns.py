@@ -14,11 +14,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from toile.cloth.cloth import Cloth
-from toile.cloth.energies.bending import bending_energy
-from toile.cloth.energies.shearing import shearing_energy
-from toile.cloth.energies.stretching import stretching_energy
-from toile.cloth.material import Material
 from toile.diagnosis.sensitivities import StepForces
 from toile.effects.base import (
     CameraEffect,
@@ -31,7 +26,12 @@ from toile.effects.base import (
     VertexEffect,
 )
 from toile.geometry.camera import Camera
-from toile.simulators.step_terms import Elements, ElementTerm, StepContext
+from toile.physics.cloth import Cloth
+from toile.physics.energies.bending import bending_energy
+from toile.physics.energies.shearing import shearing_energy
+from toile.physics.energies.stretching import stretching_energy
+from toile.physics.material import Material
+from toile.physics.step_terms import Elements, ElementTerm, StepContext
 
 Array = NDArray[np.float64]
 

@@ -12,8 +12,8 @@ from toile.diagnosis.base_fit import fitted_discrepancy
 from toile.diagnosis.continuity import Discrepancy
 from toile.diagnosis.evidence import sign_charge
 from toile.diagnosis.mechanics import Mechanics
+from toile.diagnosis.record import Estimate
 from toile.effects.base import CameraEffect, Effect
-from toile.evaluation.diagnosis_record import Estimate
 
 Array = NDArray[np.float64]
 

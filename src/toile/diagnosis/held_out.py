@@ -10,12 +10,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from toile.cloth.material import Material
-from toile.cloth.state import State
 from toile.diagnosis.shooting import Base, Shooting, changed_simulation
 from toile.effects.base import Effect, Surroundings
-from toile.simulators.base import StepStatus
-from toile.simulators.rollout import rollout
+from toile.physics.material import Material
+from toile.physics.rollout import rollout
+from toile.physics.simulator import StepStatus
+from toile.physics.state import State
 
 Array = NDArray[np.float64]
 

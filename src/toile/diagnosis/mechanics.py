@@ -35,10 +35,10 @@ from toile.diagnosis.workers import ALONE, Workers
 from toile.effects.base import CameraEffect, Effect, Surroundings
 from toile.geometry.camera import Camera
 from toile.geometry.horizontal import horizontal_axes
+from toile.physics.implicit.integrators import BDF2
+from toile.physics.implicit.newton import NewtonSettings
+from toile.physics.implicit.simulator import ImplicitSimulator
 from toile.scenes.scene import Scene
-from toile.simulators.implicit.integrators import BDF2
-from toile.simulators.implicit.newton import NewtonSettings
-from toile.simulators.implicit.simulator import ImplicitSimulator
 
 Array = NDArray[np.float64]
 

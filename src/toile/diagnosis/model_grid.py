@@ -10,8 +10,8 @@ import torch
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from toile.cloth.cloth import Cloth, grid_cloth
-from toile.cloth.units import PAPER_TIME_STEP, NetworkUnits
+from toile.physics.cloth import Cloth, grid_cloth
+from toile.physics.units import PAPER_TIME_STEP, NetworkUnits
 from toile.scenes.scene import Scene
 
 Array = NDArray[np.float64]

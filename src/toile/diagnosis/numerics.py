@@ -14,12 +14,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from toile.cloth.state import State
 from toile.diagnosis.base_fit import BaseFit, improved
 from toile.diagnosis.shooting import Base, Shooting, WindowMotion
 from toile.diagnosis.workers import ALONE, Workers
 from toile.limits import Positive, Unit
-from toile.simulators.implicit.simulator import ImplicitSimulator
+from toile.physics.implicit.simulator import ImplicitSimulator
+from toile.physics.state import State
 
 Array = NDArray[np.float64]
 

@@ -15,8 +15,8 @@ import torch
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from toile.simulators.implicit.terms import term_forces
-from toile.simulators.step_terms import StepContext, StepTerm
+from toile.physics.implicit.terms import term_forces
+from toile.physics.step_terms import StepContext, StepTerm
 
 Array = NDArray[np.float64]
 Single = NDArray[np.float32]

@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.linalg import lapack
 
-from toile.cloth.material import Material
 from toile.diagnosis.past_forces import PastForces
 from toile.limits import Fraction
-from toile.simulators.implicit.banded import BandedCholesky
-from toile.simulators.implicit.newton import potential_hessian
-from toile.simulators.implicit.terms import SceneTerms
-from toile.simulators.linearizable import LinearizableSimulator
-from toile.simulators.step_terms import StepContext
+from toile.physics.implicit.banded import BandedCholesky
+from toile.physics.implicit.newton import potential_hessian
+from toile.physics.implicit.terms import SceneTerms
+from toile.physics.linearizable import LinearizableSimulator
+from toile.physics.material import Material
+from toile.physics.step_terms import StepContext
 
 Array = NDArray[np.float64]
 Single = NDArray[np.float32]

@@ -17,9 +17,9 @@ from pydantic import Field
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from toile.effects.base import ExposureEffect
-from toile.fitting.reconstruction import Reconstruction
-from toile.fitting.terms.texture_points import grid_points
 from toile.limits import Count, Fraction, NonNegative, Positive, Unit
+from toile.reconstruction.image_terms.texture_points import grid_points
+from toile.reconstruction.problem import Reconstruction
 
 Array = NDArray[np.float64]
 

@@ -16,9 +16,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from toile.cloth.cloth import Cloth
-from toile.cloth.material import Material
-from toile.cloth.state import State
 from toile.diagnosis.continuity import Discrepancy
 from toile.diagnosis.damping import Damping
 from toile.diagnosis.force_modes import SLACK, external_first, n_balanced
@@ -28,11 +25,14 @@ from toile.diagnosis.tracked import Tracked
 from toile.effects.base import Effect, Surroundings
 from toile.effects.setting import setting
 from toile.limits import Count, CountOrZero, Fraction, NonNegative, Positive, Unit
-from toile.simulators.base import StepStatus
-from toile.simulators.implicit.integrators import BDF2
-from toile.simulators.implicit.simulator import ImplicitSimulator
-from toile.simulators.linearizable import LinearizableSimulator
-from toile.simulators.rollout import rollout
+from toile.physics.cloth import Cloth
+from toile.physics.implicit.integrators import BDF2
+from toile.physics.implicit.simulator import ImplicitSimulator
+from toile.physics.linearizable import LinearizableSimulator
+from toile.physics.material import Material
+from toile.physics.rollout import rollout
+from toile.physics.simulator import StepStatus
+from toile.physics.state import State
 
 Array = NDArray[np.float64]
 

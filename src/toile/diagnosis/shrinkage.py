@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from toile.diagnosis.held_out import Prediction, predict
 from toile.diagnosis.mechanics import Mechanics
+from toile.diagnosis.record import Shrink
 from toile.diagnosis.refits import Refit
 from toile.diagnosis.shooting import Base, WindowMotion
 from toile.diagnosis.workers import ALONE, Workers
 from toile.effects.base import Effect
-from toile.evaluation.diagnosis_record import Shrink
 from toile.limits import Count, Finite, Unit
 
 Array = NDArray[np.float64]

@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from toile.cloth.state import State
 from toile.diagnosis.base_fit import BaseFit
 from toile.diagnosis.continuity import Discrepancy, Link, WindowSystem
 from toile.diagnosis.findings import Finding, Screening
 from toile.diagnosis.fingerprint import fingerprint
 from toile.diagnosis.gap_maps import GapMaps
+from toile.diagnosis.record import Shrink
 from toile.diagnosis.refits import Race, Refit
 from toile.diagnosis.shooting import Base, WindowMotion
 from toile.diagnosis.shrinkage import HeldOut
-from toile.evaluation.diagnosis_record import Shrink
+from toile.physics.state import State
 
 Array = NDArray[np.float64]
 

@@ -15,9 +15,9 @@ import torch
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from toile.cloth.cloth import Cloth
-from toile.simulators.implicit.assembly import Assembly
-from toile.simulators.step_terms import Elements, ElementTerm, StepContext
+from toile.physics.cloth import Cloth
+from toile.physics.implicit.assembly import Assembly
+from toile.physics.step_terms import Elements, ElementTerm, StepContext
 
 Array = NDArray[np.float64]
 

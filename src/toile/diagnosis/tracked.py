@@ -13,12 +13,12 @@ from pydantic import Field
 from scipy import sparse
 
 from toile.diagnosis.model_grid import ModelGrid
-from toile.fitting.gauss_newton.recipe import SlidingWindows, Stage, TrackingRecipe, Windows, visible
-from toile.fitting.lost_cloth import LEAST, first_lost, outline_overlap
-from toile.fitting.reconstruction import Reconstruction
-from toile.fitting.terms.image_features import contrast_features
-from toile.fitting.terms.texture_points import PointTermSettings, TexturePointTerm, grid_points
 from toile.limits import Count, NonNegative, Positive, Unit
+from toile.reconstruction.gauss_newton.recipe import SlidingWindows, Stage, TrackingRecipe, Windows, visible
+from toile.reconstruction.image_terms.image_features import contrast_features
+from toile.reconstruction.image_terms.texture_points import PointTermSettings, TexturePointTerm, grid_points
+from toile.reconstruction.lost_cloth import LEAST, first_lost, outline_overlap
+from toile.reconstruction.problem import Reconstruction
 
 Array = NDArray[np.float64]
 Single = NDArray[np.float32]

@@ -9,10 +9,10 @@ from typing import Annotated
 from pydantic import Field
 
 from toile.diagnosis.decision import NONE, UNKNOWN, Calibration, confidence_set
+from toile.diagnosis.record import AMBIGUOUS, Shrink, Verdict
 from toile.diagnosis.recordings import next_recording
 from toile.effects.base import Stage
 from toile.effects.catalogue import STAGES
-from toile.evaluation.diagnosis_record import AMBIGUOUS, Shrink, Verdict
 from toile.limits import Fraction, NonNegative
 
 

@@ -7,7 +7,7 @@ from typing import ClassVar
 from torch import Tensor
 
 from toile.effects.base import Parameter, Stage, VertexEffect
-from toile.simulators.step_terms import StepContext
+from toile.physics.step_terms import StepContext
 
 
 class AirDrag(VertexEffect):

@@ -8,10 +8,10 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from toile.cloth.cloth import Cloth
 from toile.effects.base import ElementEffect, Parameter, Stage
 from toile.errors import InputError
-from toile.simulators.step_terms import Elements, StepContext
+from toile.physics.cloth import Cloth
+from toile.physics.step_terms import Elements, StepContext
 
 
 class AnisotropicStiffness(ElementEffect):

@@ -17,10 +17,10 @@ from typing import ClassVar, Self
 import torch
 from torch import Tensor
 
-from toile.cloth.cloth import Cloth
 from toile.errors import InputError
 from toile.geometry.camera import Camera
-from toile.simulators.step_terms import ElementTerm, VertexTerm
+from toile.physics.cloth import Cloth
+from toile.physics.step_terms import ElementTerm, VertexTerm
 
 
 class Stage(Enum):

@@ -11,7 +11,7 @@ from torch import Tensor
 from toile.effects.base import Parameter, Stage, VertexEffect
 from toile.effects.obstacles import Obstacle
 from toile.limits import NonNegative, Positive, Unit
-from toile.simulators.step_terms import StepContext
+from toile.physics.step_terms import StepContext
 
 
 class Contact(VertexEffect):

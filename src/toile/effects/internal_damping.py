@@ -7,9 +7,9 @@ from typing import ClassVar
 
 from torch import Tensor
 
-from toile.cloth.energies.angle import angle_between
 from toile.effects.base import ElementEffect, Parameter, Stage
-from toile.simulators.step_terms import Elements, StepContext
+from toile.physics.energies.angle import angle_between
+from toile.physics.step_terms import Elements, StepContext
 
 
 class InternalDamping(ElementEffect):

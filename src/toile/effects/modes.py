@@ -5,9 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from toile.cloth.cloth import Cloth
 from toile.effects.base import Parameter
 from toile.errors import InputError
+from toile.physics.cloth import Cloth
 
 # Half waves along grid axis 0 and 1. All have zero mean over the area.
 MODES = ((1, 0), (0, 1), (1, 1), (2, 0), (0, 2))

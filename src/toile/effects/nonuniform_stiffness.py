@@ -9,7 +9,7 @@ import torch
 
 from toile.effects.base import ElementEffect, Parameter, Stage
 from toile.effects.modes import cosine_modes, mode_parameters
-from toile.simulators.step_terms import Elements, StepContext
+from toile.physics.step_terms import Elements, StepContext
 
 
 class NonuniformStiffness(ElementEffect):

@@ -8,10 +8,10 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from toile.cloth.cloth import Cloth
 from toile.effects.base import Parameter, Stage, VertexEffect
 from toile.errors import InputError
-from toile.simulators.step_terms import StepContext
+from toile.physics.cloth import Cloth
+from toile.physics.step_terms import StepContext
 
 
 class RestCurvature(VertexEffect):

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from toile.cloth.cloth import Cloth
 from toile.effects.base import (
     AnchorEffect,
     Effect,
@@ -19,7 +18,8 @@ from toile.effects.base import (
     TimeEffect,
     VertexEffect,
 )
-from toile.simulators.step_terms import StepTerm
+from toile.physics.cloth import Cloth
+from toile.physics.step_terms import StepTerm
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import ClassVar
 
-from toile.cloth.energies.angle import angle_between
 from toile.effects.base import ElementEffect, Parameter, Stage
-from toile.simulators.step_terms import Elements, StepContext
+from toile.physics.energies.angle import angle_between
+from toile.physics.step_terms import Elements, StepContext
 
 
 class StrainStiffening(ElementEffect):

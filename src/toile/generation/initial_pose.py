@@ -9,13 +9,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from toile.cloth.state import State
 from toile.errors import InputError
 from toile.generation.simulation import Sheet
-from toile.simulators.base import SimulationError, StepStatus
-from toile.simulators.implicit.integrators import BackwardEuler
-from toile.simulators.implicit.newton import NewtonSettings
-from toile.simulators.implicit.simulator import ImplicitSimulator
+from toile.physics.implicit.integrators import BackwardEuler
+from toile.physics.implicit.newton import NewtonSettings
+from toile.physics.implicit.simulator import ImplicitSimulator
+from toile.physics.simulator import SimulationError, StepStatus
+from toile.physics.state import State
 
 _FIRST_STEP, _LAST_STEP = 0.02, 5.0  # [s]
 

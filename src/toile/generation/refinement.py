@@ -20,8 +20,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from toile.cloth.material import Material
 from toile.errors import InputError
+from toile.physics.material import Material
 
 
 def refined_size(grid: tuple[int, int], factor: int) -> tuple[int, int]:

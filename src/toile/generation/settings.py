@@ -7,12 +7,12 @@ from typing import Annotated
 
 import torch
 
-from toile.cloth.material import Material
-from toile.cloth.units import NetworkUnits
 from toile.errors import InputError
 from toile.generation.motion import HeldMotion, Still
 from toile.limits import Count, CountOrZero, Finite, NonNegative, Positive, Seed, TwoOrMore, Unit
-from toile.simulators.implicit.newton import NewtonSettings
+from toile.physics.implicit.newton import NewtonSettings
+from toile.physics.material import Material
+from toile.physics.units import NetworkUnits
 
 
 @dataclass(frozen=True)

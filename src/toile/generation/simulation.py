@@ -8,16 +8,16 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from toile.cloth.cloth import Cloth, grid_cloth
-from toile.cloth.material import Material
-from toile.cloth.state import State
 from toile.generation.motion import HeldMotion
+from toile.physics.cloth import Cloth, grid_cloth
+from toile.physics.implicit.integrators import BDF2
+from toile.physics.implicit.newton import NewtonSettings
+from toile.physics.implicit.simulator import ImplicitSimulator
+from toile.physics.material import Material
+from toile.physics.rollout import rollout
+from toile.physics.simulator import Simulator, StepResult
+from toile.physics.state import State
 from toile.progress import Report, silent
-from toile.simulators.base import Simulator, StepResult
-from toile.simulators.implicit.integrators import BDF2
-from toile.simulators.implicit.newton import NewtonSettings
-from toile.simulators.implicit.simulator import ImplicitSimulator
-from toile.simulators.rollout import rollout
 
 
 @dataclass(frozen=True)

@@ -7,12 +7,12 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from toile.cloth.material import Material
 from toile.errors import InputError
 from toile.generation.refinement import refined_material, refined_size
 from toile.generation.settings import GeneratorSettings
 from toile.generation.starting_point import StartingPoint
 from toile.json_file import read_json_object
+from toile.physics.material import Material
 from toile.scenes.atomic_folder import folder_written_atomically
 from toile.scenes.native import write_native
 from toile.scenes.scene import Scene

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from toile.diagnosis.record import GapReport
 from toile.errors import InputError
-from toile.evaluation.diagnosis_record import GapReport
 from toile.reports.cloth_fields import ClothField
 
 TRACKED_FILE, SCREENING_FILE = "tracked.npz", "screening.npz"

@@ -13,7 +13,7 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from torch.utils.tensorboard import SummaryWriter
 
-from toile.evaluation.diagnosis_record import Alias, EffectReport, Estimate, GapReport
+from toile.diagnosis.record import Alias, EffectReport, Estimate, GapReport
 from toile.reports.cloth_fields import Upright
 from toile.reports.dashboard import table
 from toile.reports.diagnosis_arrays import DiagnosisArrays

@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
+from toile.diagnosis.record import AMBIGUOUS, NONE, UNKNOWN, GapReport, Shrink
 from toile.effects.base import Stage
-from toile.evaluation.diagnosis_record import AMBIGUOUS, NONE, UNKNOWN, GapReport, Shrink
 
 _SPOKEN = {
     NONE: "nothing at all",

@@ -10,9 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from toile.geometry.surface import Floats
+from toile.preparation.template_making.making import MadeTemplate, corner_vertices
 from toile.reports.figures import STYLE
 from toile.reports.palette import GROUND_TRUTH, INK, MUTED, RECONSTRUCTION, SERIES
-from toile.scenes.template_making.making import MadeTemplate, corner_vertices
 
 _MARGIN = 0.15  # of the cloth's size in the image, shown around it
 _AXES = ("axis 0, along the upper side", "axis 1, downwards")

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 import torch
 
-from toile.cloth.cloth import grid_cloth
-from toile.cloth.state import State
 from toile.diagnosis.base_fit import base_columns, base_of, nothing_seen, window_systems
 from toile.diagnosis.continuity import Discrepancy, Joined, Link, WindowSystem
 from toile.diagnosis.shooting import Shooting, ShootingSettings, WindowMotion
 from toile.diagnosis.tracked import Tracked
-from toile.simulators.implicit.integrators import BDF2
-from toile.simulators.implicit.newton import NewtonSettings
-from toile.simulators.implicit.simulator import ImplicitSimulator
+from toile.physics.cloth import grid_cloth
+from toile.physics.implicit.integrators import BDF2
+from toile.physics.implicit.newton import NewtonSettings
+from toile.physics.implicit.simulator import ImplicitSimulator
+from toile.physics.state import State
 
 N_SHARED, N_START, N_LOCAL = 3, 2, 6
 INTERNAL = np.array([False, False, False, True, True, False])

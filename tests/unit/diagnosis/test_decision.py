@@ -14,10 +14,10 @@ from toile.diagnosis.decision import (
     tempered,
 )
 from toile.diagnosis.findings import Finding, estimates
+from toile.diagnosis.record import AMBIGUOUS
 from toile.diagnosis.recordings import next_recording
 from toile.diagnosis.verdict import VerdictSettings, until, verdict_of
 from toile.effects.catalogue import CATALOGUE
-from toile.evaluation.diagnosis_record import AMBIGUOUS
 
 CALIBRATION = Calibration({"frame_rate": 10.0}, {"frame_rate": 5.0}, 1.0, 4.0, 6.0, "test")
 

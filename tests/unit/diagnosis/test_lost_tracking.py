@@ -10,11 +10,11 @@ import torch
 
 from toile.diagnosis import tracked
 from toile.diagnosis.tracked import CoarseTracking, track, track_once
-from toile.fitting.gauss_newton.recipe import SlidingWindows, Stage, TrackingRecipe
-from toile.fitting.gauss_newton.unknowns import Priors
-from toile.fitting.lost_cloth import LostClothGuard, first_lost, outline_overlap
-from toile.fitting.reconstruction import Reconstruction
-from toile.fitting.terms.texture_points import PointTermSettings
+from toile.reconstruction.gauss_newton.recipe import SlidingWindows, Stage, TrackingRecipe
+from toile.reconstruction.gauss_newton.unknowns import Priors
+from toile.reconstruction.image_terms.texture_points import PointTermSettings
+from toile.reconstruction.lost_cloth import LostClothGuard, first_lost, outline_overlap
+from toile.reconstruction.problem import Reconstruction
 
 Problem = Callable[[], Reconstruction]
 

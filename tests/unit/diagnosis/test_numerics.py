@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from toile.cloth.cloth import grid_cloth
-from toile.cloth.state import State
 from toile.diagnosis.base_fit import BaseFit
 from toile.diagnosis.numerics import refined, time_step_error
 from toile.diagnosis.shooting import Shooting, ShootingSettings, WindowMotion
 from toile.diagnosis.tracked import Tracked
-from toile.simulators.implicit.integrators import BDF2
-from toile.simulators.implicit.newton import NewtonSettings
-from toile.simulators.implicit.simulator import ImplicitSimulator
+from toile.physics.cloth import grid_cloth
+from toile.physics.implicit.integrators import BDF2
+from toile.physics.implicit.newton import NewtonSettings
+from toile.physics.implicit.simulator import ImplicitSimulator
+from toile.physics.state import State
 
 GRID = (6, 6)
 FRAMES = 7

@@ -8,9 +8,6 @@ import numpy as np
 import pytest
 import torch
 
-from toile.cloth.cloth import grid_cloth
-from toile.cloth.material import Material
-from toile.cloth.state import State
 from toile.diagnosis.base_fit import N_BASE, BaseFit, base_deviations, base_of, fit_base, improved
 from toile.diagnosis.continuity import Discrepancy
 from toile.diagnosis.effect_size import effect_size
@@ -23,10 +20,13 @@ from toile.diagnosis.tracked import Tracked
 from toile.effects.base import Surroundings
 from toile.effects.catalogue import CATALOGUE
 from toile.effects.setting import setting
-from toile.simulators.implicit.integrators import BDF2
-from toile.simulators.implicit.newton import NewtonSettings
-from toile.simulators.implicit.simulator import ImplicitSimulator
-from toile.simulators.rollout import rollout
+from toile.physics.cloth import grid_cloth
+from toile.physics.implicit.integrators import BDF2
+from toile.physics.implicit.newton import NewtonSettings
+from toile.physics.implicit.simulator import ImplicitSimulator
+from toile.physics.material import Material
+from toile.physics.rollout import rollout
+from toile.physics.state import State
 
 GRID = (7, 7)
 FRAMES, FPS, SUBSTEPS = 17, 25.0, 4

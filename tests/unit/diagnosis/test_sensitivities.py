@@ -6,9 +6,6 @@ import numpy as np
 import pytest
 import torch
 
-from toile.cloth.cloth import grid_cloth
-from toile.cloth.material import Material
-from toile.cloth.state import State
 from toile.diagnosis.effect_columns import FORCES, Instant, force_columns
 from toile.diagnosis.sensitivities import (
     DEFAULT,
@@ -21,11 +18,14 @@ from toile.diagnosis.sensitivities import (
 from toile.effects.base import Effect, Surroundings
 from toile.effects.catalogue import CATALOGUE
 from toile.effects.setting import setting
-from toile.simulators.implicit.banded import BandedCholesky
-from toile.simulators.implicit.integrators import BDF2
-from toile.simulators.implicit.newton import NewtonSettings
-from toile.simulators.implicit.simulator import ImplicitSimulator
-from toile.simulators.rollout import rollout
+from toile.physics.cloth import grid_cloth
+from toile.physics.implicit.banded import BandedCholesky
+from toile.physics.implicit.integrators import BDF2
+from toile.physics.implicit.newton import NewtonSettings
+from toile.physics.implicit.simulator import ImplicitSimulator
+from toile.physics.material import Material
+from toile.physics.rollout import rollout
+from toile.physics.state import State
 
 GRID = (6, 7)
 STEP = 0.01

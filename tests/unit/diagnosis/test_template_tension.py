@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 import torch
 
-from toile.cloth.cloth import Cloth, grid_cloth
-from toile.cloth.material import Material
-from toile.cloth.state import State
 from toile.diagnosis.base_fit import Base, base_columns
 from toile.diagnosis.sensitivities import Columns, KnownMotion, StepForces
 from toile.diagnosis.template_tension import TemplateTension, template_tension
-from toile.simulators.implicit.integrators import BDF2, BackwardEuler
-from toile.simulators.implicit.newton import NewtonSettings
-from toile.simulators.implicit.simulator import ImplicitSimulator
-from toile.simulators.rollout import rollout
+from toile.physics.cloth import Cloth, grid_cloth
+from toile.physics.implicit.integrators import BDF2, BackwardEuler
+from toile.physics.implicit.newton import NewtonSettings
+from toile.physics.implicit.simulator import ImplicitSimulator
+from toile.physics.material import Material
+from toile.physics.rollout import rollout
+from toile.physics.state import State
 
 GRID, SIZE = (9, 8), (0.4, 0.35)
 STIFFNESS = np.array([60.0, 2e-3, 2e-5])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from toile.diagnosis.tracked import StopAt
-from toile.fitting.gauss_newton.recipe import SlidingWindows
+from toile.reconstruction.gauss_newton.recipe import SlidingWindows
 
 
 def test_one_window_ends_at_the_frame() -> None:

@@ -11,7 +11,7 @@ from toile.generation.motion import Still
 from toile.generation.settings import GeneratorSettings
 from toile.generation.simulation import Sheet, simulate
 from toile.generation.starting_point import settled_sheet, starting_point
-from toile.simulators.base import SimulationError
+from toile.physics.simulator import SimulationError
 
 
 def sheet(**changes: object) -> torch.Tensor:

@@ -8,13 +8,13 @@ import pytest
 import torch
 from torch import Tensor
 
-from toile.cloth.cloth import grid_cloth, grid_masses
-from toile.cloth.energies.bending import bending_energy
-from toile.cloth.energies.shearing import shearing_energy
-from toile.cloth.energies.stretching import stretching_energy
-from toile.cloth.material import Material
 from toile.errors import InputError
 from toile.generation.refinement import coarsen, refine, refined_material, refined_size, refined_vertices
+from toile.physics.cloth import grid_cloth, grid_masses
+from toile.physics.energies.bending import bending_energy
+from toile.physics.energies.shearing import shearing_energy
+from toile.physics.energies.stretching import stretching_energy
+from toile.physics.material import Material
 
 SIZE = (0.6, 0.4)
 GRID = (16, 12)

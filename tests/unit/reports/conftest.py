@@ -7,8 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from toile.effects.catalogue import CATALOGUE
-from toile.evaluation.diagnosis_record import (
+from toile.diagnosis.record import (
     Alias,
     EffectReport,
     Estimate,
@@ -18,6 +17,7 @@ from toile.evaluation.diagnosis_record import (
     Verdict,
     Where,
 )
+from toile.effects.catalogue import CATALOGUE
 from toile.reports.diagnosis_arrays import DiagnosisArrays, Screening
 
 CONFIG = "scene: <tiny>\n"

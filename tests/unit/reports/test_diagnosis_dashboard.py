@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from toile.evaluation.diagnosis_record import NONE, Alias, GapReport, Verdict, Where
+from toile.diagnosis.record import NONE, Alias, GapReport, Verdict, Where
 from toile.reports.diagnosis_arrays import DiagnosisArrays
 from toile.reports.diagnosis_dashboard import answer_text, ranking_table, write_diagnosis_dashboard
 

@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from toile.errors import InputError
-from toile.evaluation.diagnosis_record import (
+from toile.diagnosis.record import (
     AMBIGUOUS,
     NONE,
     UNKNOWN,
@@ -27,6 +26,7 @@ from toile.evaluation.diagnosis_record import (
     Verdict,
     Where,
 )
+from toile.errors import InputError
 from toile.reports.diagnosis_arrays import DiagnosisArrays, gap_field
 from toile.reports.diagnosis_dashboard import answer_text, ranking_table
 from toile.reports.diagnosis_wording import (

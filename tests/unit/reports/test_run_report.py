@@ -23,7 +23,7 @@ from toile.scenes.scene import Scene
 
 TRACKING = """
 optimization:
-  _target_: toile.fitting.gauss_newton.recipe.TrackingRecipe
+  _target_: toile.reconstruction.gauss_newton.recipe.TrackingRecipe
   stages: {track: {priors: {turbulence: 10.0, stiffness: 0.05}}}
 """
 

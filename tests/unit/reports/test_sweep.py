@@ -205,7 +205,7 @@ def test_the_same_small_value_of_all_runs_can_be_read() -> None:
 
 def test_the_stiffness_says_what_it_is_worth(sweep_folder: Path) -> None:
     stages = {"track": {"priors": {"turbulence": 10.0, "stiffness": 0.05}}}
-    recipe = {"_target_": "toile.fitting.gauss_newton.recipe.TrackingRecipe", "stages": stages}
+    recipe = {"_target_": "toile.reconstruction.gauss_newton.recipe.TrackingRecipe", "stages": stages}
     make_run(sweep_folder / "R1" / "other", 1.0, optimization=recipe)
     text = body(SweepPage(read_sweep([sweep_folder]), sweep_folder / "report.html").render())
     assert "no measurement" in text[text.index("<h2>Stiffness found</h2>") :]

@@ -12,7 +12,7 @@ from typing import Any
 
 from toile.errors import InputError
 from toile.generation.blender.engine import DONE
-from toile.simulators.base import SimulationError
+from toile.physics.simulator import SimulationError
 
 ENVIRONMENT = "TOILE_BLENDER_PYTHON"
 """Environment variable with the interpreter that has bpy."""

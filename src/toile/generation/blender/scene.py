@@ -20,12 +20,12 @@ from toile.generation.blender.exposure import expose
 from toile.generation.blender.settings import BlenderSettings
 from toile.generation.textures import procedural_texture
 from toile.geometry.camera import Camera
+from toile.physics.simulator import SimulationError
 from toile.scenes.atomic_folder import folder_written_atomically
 from toile.scenes.images import write_image
 from toile.scenes.native import write_native
 from toile.scenes.scene import GroundTruth, Scene
 from toile.scenes.texture_coordinates import project_coordinates
-from toile.simulators.base import SimulationError
 
 Array = NDArray[np.float64]
 

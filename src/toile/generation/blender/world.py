@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from toile.generation.blender.settings import BlenderSettings
-from toile.simulators.base import SimulationError
+from toile.physics.simulator import SimulationError
 
 Array = NDArray[np.float64]
 

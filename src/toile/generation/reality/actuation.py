@@ -11,7 +11,7 @@ from torch import Tensor
 from toile.effects.base import Stage
 from toile.generation.reality.interface import RealityEffect, Rng, pulse
 from toile.geometry.horizontal import horizontal_axes
-from toile.simulators.step_terms import StepContext
+from toile.physics.step_terms import StepContext
 
 
 class StickSlip(RealityEffect):

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from toile.effects.base import Stage
 from toile.geometry.camera import Camera
-from toile.simulators.step_terms import Elements, StepContext
+from toile.physics.step_terms import Elements, StepContext
 
 Rng = np.random.Generator
 Array = NDArray[np.float64]

@@ -29,8 +29,8 @@ from toile.generation.refinement import coarsen, refine, refined_size
 from toile.generation.simulation import Sheet
 from toile.generation.starting_point import StartingPoint, settled_sheet, starting_point
 from toile.geometry.camera import Camera
+from toile.physics.simulator import SimulationError
 from toile.scenes.scene import Scene
-from toile.simulators.base import SimulationError
 
 _log = logging.getLogger(__name__)
 

@@ -16,7 +16,7 @@ from toile.generation.reality.interface import (
     places_of,
 )
 from toile.geometry.horizontal import horizontal_axes
-from toile.simulators.step_terms import Elements, StepContext
+from toile.physics.step_terms import Elements, StepContext
 
 
 class MixedDrag(RealityEffect):

@@ -18,7 +18,7 @@ from toile.generation.reality.interface import (
     unit,
 )
 from toile.generation.reality.mechanics import bending_force, bends
-from toile.simulators.step_terms import Elements, StepContext
+from toile.physics.step_terms import Elements, StepContext
 
 
 class PlasticCreases(RealityEffect):

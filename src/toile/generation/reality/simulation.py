@@ -8,15 +8,15 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from toile.cloth.state import State
 from toile.generation.motion import HeldMotion
 from toile.generation.reality.interface import RealityEffect, places_on
 from toile.generation.simulation import Sheet
-from toile.simulators.base import SimulationError, StepStatus
-from toile.simulators.implicit.integrators import BDF2
-from toile.simulators.implicit.newton import NewtonSettings
-from toile.simulators.implicit.simulator import ImplicitSimulator
-from toile.simulators.step_terms import Elements, StepContext
+from toile.physics.implicit.integrators import BDF2
+from toile.physics.implicit.newton import NewtonSettings
+from toile.physics.implicit.simulator import ImplicitSimulator
+from toile.physics.simulator import SimulationError, StepStatus
+from toile.physics.state import State
+from toile.physics.step_terms import Elements, StepContext
 
 
 def simulate_reality(

@@ -11,7 +11,7 @@ import plotly.graph_objects as go
 from scipy.cluster.hierarchy import leaves_list, linkage, optimal_leaf_ordering
 from scipy.spatial.distance import squareform
 
-from toile.evaluation.diagnosis_record import Alias, EffectReport
+from toile.diagnosis.record import Alias, EffectReport
 from toile.reports.cloth_fields import ClothField, Upright
 from toile.reports.diagnosis_wording import change, metric_and_unit, plain_name
 from toile.reports.page.charts import CURSOR, MAP_HEIGHT, SMALL, plain

@@ -12,8 +12,7 @@ import numpy.typing as npt
 from PIL import Image
 
 from toile.atomic_file import write_text
-from toile.effects.catalogue import CATALOGUE
-from toile.evaluation.diagnosis_record import (
+from toile.diagnosis.record import (
     AMBIGUOUS,
     NONE,
     UNKNOWN,
@@ -21,6 +20,7 @@ from toile.evaluation.diagnosis_record import (
     Estimate,
     GapReport,
 )
+from toile.effects.catalogue import CATALOGUE
 from toile.reports.cloth_fields import ClothField, Upright
 from toile.reports.diagnosis_arrays import DiagnosisArrays, gap_field
 from toile.reports.diagnosis_wording import (

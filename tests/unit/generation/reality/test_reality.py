@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import torch
 
-from toile.cloth.material import Material
 from toile.errors import InputError
 from toile.generation.reality.base_scene import draw_base, draw_motion
 from toile.generation.reality.catalogue import INSIDE, OUTSIDE, REALITY_EFFECTS, reality_effect
@@ -24,7 +23,8 @@ from toile.generation.reality.making import (
 )
 from toile.generation.reality.simulation import simulate_reality
 from toile.generation.simulation import Sheet
-from toile.simulators.implicit.newton import NewtonSettings
+from toile.physics.implicit.newton import NewtonSettings
+from toile.physics.material import Material
 
 SETUP = RealitySettings(
     grid=(7, 7),
@@ -227,7 +227,7 @@ def test_unknown_level() -> None:
 
 
 def test_grid_share_is_bounded() -> None:
-    from toile.simulators.base import SimulationError
+    from toile.physics.simulator import SimulationError
 
     with pytest.raises(SimulationError, match="draws"):
         make_scene(replace(SETUP, largest_grid_share=0.0), SceneRequest("x", (), 2))

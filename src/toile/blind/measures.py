@@ -1,0 +1,498 @@
+"""Marks of a diagnosis: one row per scene, then the table of measures with intervals over scenes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
+
+from toile.blind.magnitudes import comparisons, coverage, relative_error
+from toile.blind.sealing import Sealed
+from toile.diagnosis.record import AMBIGUOUS, NONE, UNKNOWN, GapReport, Verdict
+from toile.effects.catalogue import STAGES
+
+Array = NDArray[np.float64]
+
+CONFIDENT = 0.9
+"""Probability from which a wrong answer counts as confident."""
+FRAME_SCORE = 2.0
+"""Score (Where.frames) from which a frame counts as one that the effect acts in."""
+
+
+@dataclass(frozen=True)
+class Statistic:
+    """A number of some rows of the marks.
+
+    Attributes:
+        column: of the marks.
+        over: a number of the values that are there.
+        worst_effect: whether it is the smallest one over the scenes of one effect.
+    """
+
+    column: str
+    over: Callable[[Array], float]
+    worst_effect: bool = False
+
+    def __call__(self, rows: pd.DataFrame) -> float:
+        """The number; NaN where there is no value."""
+        if not self.worst_effect:
+            return self.over(_column(rows, self.column))
+        by_effect = [self.over(_column(group, self.column)) for _, group in rows.groupby("truth")]
+        return min((v for v in by_effect if not math.isnan(v)), default=math.nan)
+
+    def count(self, rows: pd.DataFrame) -> int:
+        """Number of rows that have a value."""
+        return len(_column(rows, self.column))
+
+
+@dataclass(frozen=True)
+class Measure:
+    """One row of the table.
+
+    Attributes:
+        name: of the measure.
+        aim: as a text, e.g. "≥ 0.97".
+        select: rows of the marks that it is over.
+        value: number of the selected rows; NaN where there is none.
+        at_least: aim as a number, if it is a lower bound; at_most: if it is an upper one.
+        naive: whether it can be said of the naive baseline.
+        proportion: whether it is a share of scenes.
+    """
+
+    name: str
+    aim: str
+    select: Callable[[pd.DataFrame], pd.DataFrame]
+    value: Statistic
+    at_least: float | None = None
+    at_most: float | None = None
+    naive: bool = False
+    proportion: bool = True
+
+    def reached(self, value: float) -> str:
+        """Whether the aim is reached: "yes", "no", or "–" where there is nothing to say."""
+        if math.isnan(value):
+            return "–"
+        low, high = self.at_least, self.at_most
+        return "yes" if (low is None or value >= low) and (high is None or value <= high) else "no"
+
+
+def mark(
+    name: str, sealed: Sealed, report: GapReport | None, folder: Path, *, alias: float
+) -> dict[str, Any]:
+    """Marks of one scene; a scene without a diagnosis is wrong in everything.
+
+    Args:
+        name: of the scene.
+        sealed: its open label.
+        report: the diagnosis, None if there is none.
+        folder: of the diagnosis, which paths in it are relative to.
+        alias: see Alias.classes.
+
+    Returns:
+        Cells by column; NaN (or None) where a mark does not apply.
+    """
+    label = sealed.label
+    truth = _truth(label)
+    row: dict[str, Any] = {
+        "scene": name,
+        "generator": label.get("generator", "?"),
+        "kind": _kind(label),
+        "truth": "+".join(truth),
+        "level": "+".join(label.get("levels", [])),
+        "true_stage": label["stage"],
+        "gap_percent": float(label["magnitude"]["mean_last_third"]),
+        "size": _size(label),
+    }
+    if report is None:
+        return row | {"answer": "no diagnosis", "stage_right": False, "top1": False, "set_right": False}
+    verdict = report.verdict
+    row |= _marks(verdict, truth, label["stage_accept"])
+    row["candidates"] = ", ".join(verdict.candidates)
+    row["also"] = verdict.also or ""
+    row["naive"] = report.protocol.naive
+    naive = _naive_verdict(report.protocol.naive)
+    row |= {f"naive_{k}": v for k, v in _marks(naive, truth, label["stage_accept"]).items()}
+    if row["kind"] == "single":
+        row["identifiable"] = _is_identifiable(report, truth[0], alias)
+        row |= _magnitude(report, sealed, truth[0])
+        row |= _shrink(report, verdict, truth[0])
+        row["detection_limit"] = report.alias.detection_limits.get(truth[0])
+    row |= _localisation(report, sealed, folder)
+    return row
+
+
+def measures() -> tuple[Measure, ...]:
+    """The table's rows, with the aims of the project."""
+
+    def kinds(*names: str) -> Callable[[pd.DataFrame], pd.DataFrame]:
+        return lambda marks: marks[marks["kind"].isin(names)]
+
+    def clear(marks: pd.DataFrame) -> pd.DataFrame:
+        return marks[(marks["kind"] == "single") & (marks["identifiable"] != False)]  # noqa: E712
+
+    def unclear(marks: pd.DataFrame) -> pd.DataFrame:
+        return marks[(marks["kind"] == "single") & (marks["identifiable"] == False)]  # noqa: E712
+
+    def mean(column: str) -> Statistic:
+        return Statistic(column, _mean)
+
+    def median(column: str) -> Statistic:
+        return Statistic(column, _median)
+
+    single = kinds("single")
+    return (
+        Measure("stage accuracy", "≥ 0.97", kinds("single", "null"), mean("stage_right"), 0.97, naive=True),
+        Measure("top-1 effect, identifiable singles", "≥ 0.90", clear, mean("top1"), 0.90, naive=True),
+        Measure(
+            "top-1, worst effect",
+            "≥ 0.70",
+            clear,
+            Statistic("top1", _mean, worst_effect=True),
+            0.70,
+            naive=True,
+        ),
+        Measure("90 % set: coverage", "≥ 0.90", kinds("single", "null"), mean("set_right"), 0.90),
+        Measure(
+            "90 % set: mean size",
+            "≤ 1.5",
+            kinds("single", "null"),
+            mean("set_size"),
+            at_most=1.5,
+            proportion=False,
+        ),
+        Measure(
+            "false alarms on nulls", "≤ 0.02", kinds("null"), mean("false_alarm"), at_most=0.02, naive=True
+        ),
+        Measure("outside: abstains", "≥ 0.85", kinds("outside"), mean("abstains"), 0.85, naive=True),
+        Measure(
+            "outside: confidently wrong",
+            "≤ 0.05",
+            kinds("outside"),
+            mean("confidently_wrong"),
+            at_most=0.05,
+            naive=True,
+        ),
+        Measure(
+            "pairs: one right, none wrong", "≥ 0.90", kinds("pair"), mean("pair_right"), 0.90, naive=True
+        ),
+        Measure("unidentifiable called ambiguous", "≥ 0.90", unclear, mean("called_ambiguous"), 0.90),
+        Measure(
+            "magnitude: median error",
+            "≤ 0.15",
+            single,
+            median("magnitude_error"),
+            at_most=0.15,
+            proportion=False,
+        ),
+        Measure(
+            "magnitude: 90 % interval coverage", "0.85–0.95", single, mean("magnitude_covered"), 0.85, 0.95
+        ),
+        Measure(
+            "localisation: vertices AUPRC",
+            "≥ 0.80",
+            lambda marks: marks,
+            mean("vertices_auprc"),
+            0.80,
+            proportion=False,
+        ),
+        Measure(
+            "localisation: interval F1",
+            "≥ 0.80",
+            lambda marks: marks,
+            mean("frames_f1"),
+            0.80,
+            proportion=False,
+        ),
+        Measure("scenes improved", "≥ 0.95", single, mean("improved"), 0.95),
+        Measure(
+            "best placebo's shrink, median",
+            "≤ 0.15",
+            single,
+            median("placebo_of_true"),
+            at_most=0.15,
+            proportion=False,
+        ),
+    )
+
+
+def measured(marks: pd.DataFrame, *, resamplings: int, seed: int) -> pd.DataFrame:
+    """The table: measure, aim, value, 95 % interval over scenes, scenes that count in it, aim reached, naive.
+
+    Args:
+        marks: one row per scene, see mark.
+        resamplings: of scenes. Where every scene of a proportion is right, or every one wrong, resampling
+            knows no spread; Wilson's interval takes its place.
+        seed: of the resamplings.
+    """
+    rng = np.random.default_rng(seed)
+    naive = naive_marks(marks)
+    rows = []
+    for measure in measures():
+        chosen = measure.select(marks)
+        value = measure.value(chosen)
+        low, high = _interval(measure, chosen, value, rng, resamplings)
+        other = measure.value(measure.select(naive)) if measure.naive else math.nan
+        rows.append(
+            {
+                "measure": measure.name,
+                "aim": measure.aim,
+                "value": value,
+                "low": low,
+                "high": high,
+                "scenes": measure.value.count(chosen),
+                "reached": measure.reached(value),
+                "naive": other,
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def naive_marks(marks: pd.DataFrame) -> pd.DataFrame:
+    """The same rows with the marks of the naive baseline in the place of the diagnosis' own."""
+    columns = [c for c in marks.columns if c.startswith("naive_")]
+    renamed = marks[columns].rename(columns=lambda c: c.removeprefix("naive_"))
+    kept = marks[[c for c in marks.columns if c not in set(renamed.columns) | set(columns)]]
+    return pd.concat((kept, renamed), axis=1)
+
+
+def confusion(marks: pd.DataFrame) -> pd.DataFrame:
+    """Number of scenes by truth (rows) and answer (columns); pairs are left out."""
+    rows = marks[marks["kind"] != "pair"]
+    table: pd.DataFrame = pd.crosstab(rows["truth"], rows["answer"])
+    return table
+
+
+def detection(marks: pd.DataFrame) -> pd.DataFrame:
+    """Per effect: sizes at which it was found and missed, in what its strength is named in.
+
+    Columns: scenes, found, smallest_found, largest_missed, predicted (median of the diagnosis' own detection
+    limits, in the unit of the effect's first parameter).
+    """
+    rows = []
+    for name, group in marks[marks["kind"] == "single"].groupby("truth"):
+        right = group["top1"].astype(bool)
+        rows.append(
+            {
+                "effect": name,
+                "scenes": len(group),
+                "found": int(right.sum()),
+                "smallest_found": group["size"][right].min() if right.any() else math.nan,
+                "largest_missed": group["size"][~right].max() if (~right).any() else math.nan,
+                "predicted": _median(_column(group, "detection_limit")),
+            }
+        )
+    columns = ["effect", "scenes", "found", "smallest_found", "largest_missed", "predicted"]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def average_precision(truth: NDArray[np.bool_], score: Array) -> float:
+    """Area under the precision-recall curve; ties share their place. NaN where all or none is true."""
+    if truth.all() or not truth.any():
+        return math.nan
+    total = 0.0
+    recalled = 0.0
+    for threshold in np.unique(score)[::-1]:
+        chosen = score >= threshold
+        recall = float((truth & chosen).sum() / truth.sum())
+        total += (recall - recalled) * float((truth & chosen).sum() / chosen.sum())
+        recalled = recall
+    return total
+
+
+def f1(truth: NDArray[np.bool_], found: NDArray[np.bool_]) -> float:
+    """Harmonic mean of precision and recall; NaN where there is nothing to find."""
+    if not truth.any():
+        return math.nan
+    return float(2 * (truth & found).sum() / (truth.sum() + found.sum()))
+
+
+def wilson(successes: float, n: int, z: float = 1.96) -> tuple[float, float]:
+    """Wilson's interval of a proportion."""
+    if n == 0:
+        return math.nan, math.nan
+    p = successes / n
+    centre = (p + z * z / (2 * n)) / (1 + z * z / n)
+    half = z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n)) / (1 + z * z / n)
+    return max(0.0, centre - half), min(1.0, centre + half)
+
+
+def _truth(label: Mapping[str, Any]) -> tuple[str, ...]:
+    names = label.get("effects")
+    if names is None:
+        names = [] if label["effect"] == NONE else [label["effect"]]
+    return tuple(names) or (NONE,)
+
+
+def _kind(label: Mapping[str, Any]) -> str:
+    truth = _truth(label)
+    if truth == (NONE,):
+        return "null"
+    if not label["in_catalogue"]:
+        return "outside"
+    return "single" if len(truth) == 1 else "pair"
+
+
+def _size(label: Mapping[str, Any]) -> float:
+    """Of a single effect, in what its strength is named in, NaN where it is not; the gap otherwise."""
+    alone = label["magnitude"].get("alone", {})
+    truth = _truth(label)
+    if _kind(label) == "single":
+        return float(alone.get(truth[0], {}).get("value", math.nan))
+    return float(label["magnitude"]["mean_last_third"])
+
+
+def _marks(verdict: Verdict, truth: tuple[str, ...], stages: Sequence[str]) -> dict[str, Any]:
+    """What is right and wrong in an answer, whichever kind of scene it is about."""
+    named = tuple(n for n in (verdict.effect, verdict.also) if n and n not in (NONE, AMBIGUOUS, UNKNOWN))
+    abstains = verdict.effect in (AMBIGUOUS, UNKNOWN)
+    doubts = verdict.effect == AMBIGUOUS and NONE in verdict.candidates
+    return {
+        "answer": verdict.effect,
+        "probability": verdict.probability,
+        "stage_right": verdict.stage in stages,
+        "top1": verdict.effect == truth[0],
+        "set_right": truth[0] in verdict.candidates,
+        "set_size": float(len(verdict.candidates)),
+        "false_alarm": verdict.effect != NONE and not doubts,
+        "abstains": abstains,
+        "confidently_wrong": bool(named)
+        and not set(named) <= set(truth)
+        and verdict.probability >= CONFIDENT,
+        "pair_right": bool(set(named) & set(truth)) and set(named) <= set(truth),
+        "called_ambiguous": verdict.effect == AMBIGUOUS and truth[0] in verdict.candidates,
+    }
+
+
+def _naive_verdict(name: str) -> Verdict:
+    """The baseline always names the candidate that fits best, and is sure of it."""
+    return Verdict(name, (name,), STAGES[name].value if name in STAGES else "", 1.0, "", "")
+
+
+def _is_identifiable(report: GapReport, truth: str, alias: float) -> bool:
+    """Whether no other effect or base parameter leaves the same trace on this clip."""
+    names = tuple(name.partition(".")[0] for name in report.alias.names)
+    plain = replace(report.alias, names=names)
+    return all(set(group) == {truth} for group in plain.classes(alias) if truth in group)
+
+
+def _magnitude(report: GapReport, sealed: Sealed, truth: str) -> dict[str, Any]:
+    """Relative error and coverage of the true effect's magnitude, where both sides have one."""
+    effect = report.effect(truth)
+    if effect is None:
+        return {}
+    found = comparisons(effect, sealed)
+    if not found:
+        return {}
+    cells = [
+        f"{c.name}: {c.truth:.3g}{'' if c.unit == '1' else f' {c.unit}'}, "
+        f"{c.estimate:.3g} [{c.low:.3g}, {c.high:.3g}]"
+        for c in found
+    ]
+    return {
+        "magnitude": "; ".join(cells),
+        "magnitude_error": relative_error(found),
+        "magnitude_covered": coverage(found),
+    }
+
+
+def _shrink(report: GapReport, verdict: Verdict, truth: str) -> dict[str, Any]:
+    """Held-out error with the answer, the true effect, the runner-up and the best placebo.
+
+    The runner-up is the best wrong candidate. Where the true effect was not among those compared, only what
+    stands beside it is known.
+    """
+    compared = [e for e in report.effects if e.shrink is not None]
+    marks: dict[str, Any] = {}
+    others = {e.name: e.shrink.estimate for e in compared if e.shrink is not None and e.name != truth}
+    if others:
+        marks["runner_up"] = max(others, key=lambda name: others[name])
+        marks["shrink_runner_up"] = others[marks["runner_up"]]
+    placebos = [
+        e.shrink.best_placebo for e in compared if e.shrink is not None and e.shrink.best_placebo is not None
+    ]
+    if placebos:
+        marks["shrink_placebo"] = max(placebos)
+    true = report.effect(truth)
+    if true is None or true.shrink is None:
+        return marks
+    base, saved = true.shrink.base, true.shrink.base - true.shrink.with_effect
+    marks["shrink_true"] = true.shrink.estimate
+    # Where the true effect does not help, no share of that help means anything.
+    if saved > 1e-3 * base:
+        answered = report.effect(verdict.effect)
+        helped = 0.0 if answered is None or answered.shrink is None else answered.shrink.estimate
+        marks["improved"] = helped > 0
+        if placebos:
+            marks["placebo_of_true"] = max(placebos) * base / saved
+    return marks
+
+
+def _localisation(report: GapReport, sealed: Sealed, folder: Path) -> dict[str, Any]:
+    """Marks of where and when, for effects that do not act everywhere and always."""
+    marks: dict[str, Any] = {}
+    where = sealed.label.get("localisation", {})
+    vertices, frames = where.get("vertices"), where.get("frames")
+    path = report.where.vertices
+    if vertices and path is not None and (folder / path).is_file():
+        # The label counts on the scene's grid, the score is on that of the diagnosis' model.
+        score = _on_grid(np.load(folder / path).astype(np.float64), sealed.vertices.shape[1:3]).ravel()
+        if max(vertices) < len(score):
+            truth = np.zeros(len(score), bool)
+            truth[vertices] = True
+            marks["vertices_auprc"] = average_precision(truth, np.nan_to_num(score))
+    scores = np.array(report.where.frames)
+    if frames and max(frames) < len(scores) and len(frames) < len(scores):
+        truth = np.zeros(len(scores), bool)
+        truth[frames] = True
+        marks["frames_f1"] = f1(truth, scores >= FRAME_SCORE)
+    return marks
+
+
+def _on_grid(score: Array, grid: tuple[int, ...]) -> Array:
+    """Scores (h, w) at the vertices of another grid over the same cloth, linearly interpolated."""
+    if score.shape == grid:
+        return score
+    at = [np.linspace(0, n - 1, m) for n, m in zip(score.shape, grid, strict=True)]
+    found: Array = map_coordinates(score, np.stack(np.meshgrid(*at, indexing="ij")), order=1)
+    return found
+
+
+def _interval(
+    measure: Measure, rows: pd.DataFrame, value: float, rng: np.random.Generator, resamplings: int
+) -> tuple[float, float]:
+    """95 % interval by resampling scenes."""
+    if math.isnan(value) or len(rows) == 0:
+        return math.nan, math.nan
+    found = []
+    for _ in range(resamplings):
+        found.append(measure.value(rows.iloc[rng.integers(len(rows), size=len(rows))]))
+    values = np.array([v for v in found if not math.isnan(v)])
+    low, high = (float(np.quantile(values, q)) for q in (0.025, 0.975))
+    if measure.proportion and low == high and value in (0.0, 1.0):
+        n = measure.value.count(rows)
+        return wilson(value * n, n)
+    return low, high
+
+
+def _column(rows: pd.DataFrame, name: str) -> Array:
+    """Numbers of a column without the missing ones."""
+    if name not in rows.columns:
+        return np.zeros(0)
+    values = np.array([math.nan if v is None else float(v) for v in rows[name]])
+    found: Array = values[~np.isnan(values)]
+    return found
+
+
+def _mean(values: Array) -> float:
+    return float(values.mean()) if len(values) else math.nan
+
+
+def _median(values: Array) -> float:
+    return float(np.median(values)) if len(values) else math.nan

@@ -1,0 +1,38 @@
+"""The list of export formats, for the command line; each exporter is imported only when it is used."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from toile.errors import InputError
+from toile.export.animation import ClothAnimation
+
+FORMATS = ("obj", "ply", "glb", "usd")
+
+
+def export_animation(
+    animation: ClothAnimation, folder: Path, format: str, *, keep_camera_frame: bool = False
+) -> list[Path]:
+    """Export into ``folder``: sequences ``obj/`` and ``ply/``, or single files ``cloth.glb``, ``cloth.usdc``.
+
+    Raises:
+        InputError: an unknown format.
+    """
+    match format:
+        case "obj":
+            from toile.export.obj import export_obj
+
+            return export_obj(animation, folder / "obj", keep_camera_frame=keep_camera_frame)
+        case "ply":
+            from toile.export.ply import export_ply
+
+            return export_ply(animation, folder / "ply", keep_camera_frame=keep_camera_frame)
+        case "glb":
+            from toile.export.gltf import export_gltf
+
+            return [export_gltf(animation, folder / "cloth.glb", keep_camera_frame=keep_camera_frame)]
+        case "usd":
+            from toile.export.usd import export_usd
+
+            return [export_usd(animation, folder / "cloth.usdc", keep_camera_frame=keep_camera_frame)]
+    raise InputError("Unknown export format", where="format", expected=", ".join(FORMATS), got=format)

@@ -1,1 +1,0 @@
-"""The paper's optimisation: Adam over successively more frames."""

@@ -1,0 +1,115 @@
+"""The cloth itself: elements, rest shape, masses and held vertices."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from toile.physics.stencils import Stencils, grid_stencils
+
+
+@dataclass(frozen=True)
+class Cloth:
+    """A piece of cloth with N vertices, apart from its stiffness and its motion.
+
+    Attributes:
+        stencils: which vertices each element couples.
+        rest_lengths: (E,) float64 [m].
+        rest_corner_angles: (C,) float64 [rad].
+        masses: (N,) float64 [kg].
+        held: (n_held,) int64, vertices whose motion is prescribed.
+        grid: (H, W) if the vertices form a grid, else None.
+    """
+
+    stencils: Stencils
+    rest_lengths: Tensor
+    rest_corner_angles: Tensor
+    masses: Tensor
+    held: Tensor
+    grid: tuple[int, int] | None = None
+
+    def __post_init__(self) -> None:
+        n = self.stencils.n_vertices
+        for name, got, expected in (
+            ("rest_lengths", self.rest_lengths.shape, (len(self.stencils.edges),)),
+            ("rest_corner_angles", self.rest_corner_angles.shape, (len(self.stencils.corners),)),
+            ("masses", self.masses.shape, (n,)),
+        ):
+            if tuple(got) != expected:
+                raise ValueError(f"{name}: expected shape {expected}, got {tuple(got)}")
+        if self.held.numel() and (int(self.held.min()) < 0 or int(self.held.max()) >= n):
+            raise ValueError(f"held: expected vertex indices in [0, {n}), got {self.held.tolist()}")
+
+    @property
+    def n_vertices(self) -> int:
+        """Number of vertices N."""
+        return self.stencils.n_vertices
+
+
+def cell_shares(height: int, width: int) -> Tensor:
+    """Cells of a grid that belong to each vertex, (H, W): 1 inside, ½ on the border, ¼ at a corner."""
+    shares = torch.ones(height, width, dtype=torch.float64)
+    shares[[0, -1], :] *= 0.5
+    shares[:, [0, -1]] *= 0.5
+    return shares
+
+
+def grid_masses(height: int, width: int, cloth_size: tuple[float, float], areal_density: float) -> Tensor:
+    """Vertex masses (H·W,) [kg] of a uniform sheet: ρ times the area of each vertex's cells (paper, 3.1.3).
+
+    Args:
+        height: number of vertices H along grid axis 0.
+        width: number of vertices W along grid axis 1.
+        cloth_size: rest lengths of the two sides [m].
+        areal_density: ρ [kg/m²].
+    """
+    cell = cloth_size[0] * cloth_size[1] / ((height - 1) * (width - 1))
+    return (areal_density * cell * cell_shares(height, width)).reshape(-1)
+
+
+def uniform_rest_lengths(
+    stencils: Stencils, grid: tuple[int, int], cloth_size: tuple[float, float]
+) -> Tensor:
+    """Rest length of every edge of a flat grid of the given size [m] (as in the paper)."""
+    along_i = (stencils.edges[:, 1] - stencils.edges[:, 0]) == grid[1]
+    step_i, step_j = cloth_size[0] / (grid[0] - 1), cloth_size[1] / (grid[1] - 1)
+    # Python numbers in torch.where would be rounded to float32.
+    steps = torch.tensor([step_j, step_i], dtype=torch.float64)
+    return steps[along_i.long()]
+
+
+def template_rest_lengths(stencils: Stencils, template: Tensor) -> Tensor:
+    """Rest length of every edge as measured on the template (..., N, 3) [m]."""
+    flat = template.reshape(-1, 3).to(torch.float64)
+    return (flat[stencils.edges[:, 1]] - flat[stencils.edges[:, 0]]).norm(dim=-1)
+
+
+def grid_cloth(
+    grid: tuple[int, int],
+    cloth_size: tuple[float, float],
+    areal_density: float,
+    held: tuple[int, ...],
+    rest_lengths: Tensor | None = None,
+) -> Cloth:
+    """A rectangular cloth on an H×W grid, flat at rest.
+
+    Args:
+        grid: (H, W).
+        cloth_size: rest lengths of the sides along grid axis 0 and axis 1 [m].
+        areal_density: [kg/m²].
+        held: flattened indices of held vertices.
+        rest_lengths: (E,) [m]; uniform if None.
+    """
+    stencils = grid_stencils(*grid)
+    if rest_lengths is None:
+        rest_lengths = uniform_rest_lengths(stencils, grid, cloth_size)
+    return Cloth(
+        stencils=stencils,
+        rest_lengths=rest_lengths.to(torch.float64),
+        rest_corner_angles=torch.full((len(stencils.corners),), torch.pi / 2, dtype=torch.float64),
+        masses=grid_masses(*grid, cloth_size, areal_density),
+        held=torch.tensor(held, dtype=torch.int64),
+        grid=grid,
+    )

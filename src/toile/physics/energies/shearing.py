@@ -1,0 +1,26 @@
+"""Shearing energy (paper, Eq. 8)."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from toile.physics.energies.angle import angle_between
+
+
+def shearing_energy(
+    positions: Tensor, corners: Tensor, rest_angles: Tensor | float, stiffness: Tensor | float
+) -> Tensor:
+    """Energy ½ S Σ (φ - φ₀)² of the angles enclosed by a warp and a weft edge.
+
+    Args:
+        positions: (..., N, 3) [m].
+        corners: (C, 3) vertex indices (i, k, j), the angle is at k.
+        rest_angles: (C,) or scalar φ₀ [rad]; π/2 for a planar fabric.
+        stiffness: S [N·m], broadcastable to (..., C).
+
+    Returns:
+        Energy [J], shape (...).
+    """
+    k = positions[..., corners[:, 1], :]
+    angle = angle_between(positions[..., corners[:, 0], :] - k, positions[..., corners[:, 2], :] - k)
+    return 0.5 * (stiffness * (angle - rest_angles) ** 2).sum(-1)

@@ -1,0 +1,257 @@
+"""Step terms within an implicit step: their values for the solver, their forces for the adjoint."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from toile.physics.energies.bending import bending_energy
+from toile.physics.energies.shearing import shearing_energy
+from toile.physics.energies.stretching import stretching_energy
+from toile.physics.implicit.assembly import Assembly
+from toile.physics.material import Material
+from toile.physics.step_terms import Elements, ElementTerm, StepContext, StepTerm, VertexTerm
+
+Array = NDArray[np.float64]
+
+
+class VertexPotential:
+    """Sum of vertex terms during one step of one scene.
+
+    Args:
+        terms: at least one.
+        now: without gradients.
+    """
+
+    def __init__(self, terms: Sequence[VertexTerm], now: StepContext) -> None:
+        self._terms, self._now = terms, now
+        self._last: tuple[Array, Array, Array] | None = None
+
+    def energy(self, x: Array) -> Array:
+        """Potential (N,) [J] at positions (N, 3) [m]."""
+        return self._evaluate(x)[0]
+
+    def gradient(self, x: Array) -> Array:
+        """Its gradient (N, 3) [N]."""
+        return self._evaluate(x)[1]
+
+    def blocks(self, x: Array, *, convex: bool) -> Array:
+        """Its second derivatives (N, 3, 3) [N/m]; without negative eigenvalues if ``convex``."""
+        with torch.enable_grad():
+            positions = torch.tensor(x, requires_grad=True)
+            gradient = _gradient(vertex_energy(self._terms, positions, self._now), positions, graph=True)
+            rows = [_gradient(gradient[:, axis], positions, graph=False) for axis in range(3)]
+        blocks: Array = torch.stack(rows, 1).numpy()
+        if not convex:
+            return blocks
+        values, vectors = np.linalg.eigh(blocks)
+        if values.min(initial=0.0) >= 0.0:
+            return blocks
+        projected: Array = (vectors * values.clip(min=0.0)[:, None, :]) @ vectors.transpose(0, 2, 1)
+        return projected
+
+    def _evaluate(self, x: Array) -> tuple[Array, Array]:
+        # The line search asks for the potential, then the residual for the gradient at the same place.
+        if self._last is None or not np.array_equal(self._last[0], x):
+            with torch.enable_grad():
+                positions = torch.tensor(x, requires_grad=True)
+                energy = vertex_energy(self._terms, positions, self._now)
+                gradient = _gradient(energy, positions, graph=False)
+            self._last = (x.copy(), energy.detach().numpy(), gradient.detach().numpy())
+        return self._last[1], self._last[2]
+
+
+@dataclass(frozen=True)
+class SceneTerms:
+    """What the step terms are for the solver during one step of one scene.
+
+    Attributes:
+        vertices: potential of the vertex terms, if there are any.
+        elements: factors and rest shape, if there are element terms; without gradients.
+    """
+
+    vertices: VertexPotential | None = None
+    elements: Elements | None = None
+
+    @staticmethod
+    def of(terms: Sequence[StepTerm], now: StepContext) -> SceneTerms:
+        """Evaluate the terms where the step begins."""
+        now = now.detached()
+        vertex_terms, element_terms = split(terms)
+        with torch.no_grad():
+            elements = changed_elements(element_terms, now) if element_terms else None
+        return SceneTerms(VertexPotential(vertex_terms, now) if vertex_terms else None, elements)
+
+    def prepare(self, assembly: Assembly) -> None:
+        """Give the assembly the elements of this step."""
+        if self.elements is not None:
+            e = self.elements
+            assembly.set_elements(
+                (e.stretching.numpy(), e.shearing.numpy(), e.bending.numpy()),
+                e.rest_lengths.numpy(),
+                e.rest_corner_angles.numpy(),
+                e.rest_straight_angles.numpy(),
+            )
+
+
+def split(terms: Sequence[StepTerm]) -> tuple[list[VertexTerm], list[ElementTerm]]:
+    """Vertex terms and element terms, each in the given order."""
+    return (
+        [term for term in terms if isinstance(term, VertexTerm)],
+        [term for term in terms if isinstance(term, ElementTerm)],
+    )
+
+
+def vertex_energy(terms: Sequence[VertexTerm], positions: Tensor, now: StepContext) -> Tensor:
+    """Sum of the terms' potentials, (N,) [J]."""
+    total = positions.new_zeros(len(positions))
+    for term in terms:
+        total = total + term.energy(positions, now)
+    return total
+
+
+def changed_elements(terms: Sequence[ElementTerm], now: StepContext) -> Elements:
+    """Elements after all the terms."""
+    elements = Elements.of(now.cloth)
+    for term in terms:
+        elements = term.elements(elements, now)
+    return elements
+
+
+def term_forces(terms: Sequence[StepTerm], now: StepContext, positions: Tensor) -> Tensor:
+    """Force of the vertex terms, and internal force if there are element terms, (N, 3) [N].
+
+    Differentiable with respect to everything in ``now`` and the numbers inside the terms, except for
+    Y, S and B as such and the new positions: those the step's own adjoint takes care of.
+
+    Args:
+        terms: see StepTerm.
+        now: with gradients.
+        positions: x_{n+1} (N, 3) [m], without gradients.
+    """
+    vertex_terms, element_terms = split(terms)
+    with torch.enable_grad():
+        at = positions.detach().requires_grad_()
+        energy = vertex_energy(vertex_terms, at, now).sum()
+        if element_terms:
+            energy = energy + _internal_energy(at, changed_elements(element_terms, now), now)
+        return -_gradient(energy, at, graph=True)
+
+
+def depends_on_gradients(terms: Sequence[StepTerm], now: StepContext) -> bool:
+    """Whether anything that a term's force depends on requires gradients."""
+    inputs = [
+        now.cloth.masses,
+        now.material.stretching,
+        now.material.shearing,
+        now.material.bending,
+        now.positions,
+        now.velocities,
+        now.anchors,
+        torch.as_tensor(now.time_step),
+        *(term.values for term in terms),
+    ]
+    return any(tensor.requires_grad for tensor in inputs)
+
+
+def _internal_energy(positions: Tensor, elements: Elements, now: StepContext) -> Tensor:
+    """Energy () [J] of all elements; no gradients by Y, S and B."""
+    stencils, material = now.cloth.stencils, now.material
+    y, s, b = (k.detach() for k in (material.stretching, material.shearing, material.bending))
+    return (
+        stretching_energy(positions, stencils.edges, elements.rest_lengths, y * elements.stretching)
+        + shearing_energy(positions, stencils.corners, elements.rest_corner_angles, s * elements.shearing)
+        + bending_energy(positions, stencils.straights, b * elements.bending, elements.rest_straight_angles)
+    )
+
+
+class TermMemory:
+    """Derivatives of the terms' force in one step by what it knows of the past, at fixed new positions.
+
+    Args:
+        terms: see StepTerm.
+        now: of the step.
+        positions: x_{n+1} (N, 3) [m].
+
+    Attributes:
+        values: numbers inside the terms that require gradients, one tensor (n,) per term that has any.
+    """
+
+    def __init__(self, terms: Sequence[StepTerm], now: StepContext, positions: Tensor) -> None:
+        plain = now.detached()
+        material = torch.cat((plain.material.stretching, plain.material.shearing, plain.material.bending))
+        self._leaves = [
+            t.clone().requires_grad_() for t in (plain.positions, plain.velocities, plain.anchors, material)
+        ]
+        x, v, anchors, material = self._leaves
+        leaf = replace(
+            plain,
+            material=Material(*material.split(1)),
+            positions=x,
+            velocities=v,
+            anchors=anchors,
+        )
+        self.values = [term.values for term in terms if term.values.requires_grad]
+        self._forces = term_forces(terms, leaf, positions)
+        self._slopes: tuple[Tensor, list[Tensor]] | None = None
+
+    @property
+    def n_values(self) -> int:
+        """Numbers in all ``values``."""
+        return sum(map(len, self.values))
+
+    def tangent(self, x: Array, v: Array, anchors: Array, stiffness: Array, values: Array) -> Array:
+        """Change of the force (N, 3) for changes of x_n, v_n, anchors, (Y, S, B) and all values (n,).
+
+        No values, (0,), stands for no change of them.
+        """
+        if not self._forces.requires_grad:
+            return np.zeros_like(x)
+        if self._slopes is None:
+            # The adjoint is linear in the vector it is applied to; its own adjoint is the tangent.
+            dummy = torch.zeros_like(self._forces, requires_grad=True)
+            self._slopes = dummy, self._adjoint(dummy, graph=True)
+        dummy, slopes = self._slopes
+        changes = [torch.from_numpy(np.ascontiguousarray(c)) for c in (x, v, anchors, stiffness)]
+        if len(values):
+            changes += torch.from_numpy(values).split([len(v) for v in self.values])
+        total = sum(((s * c).sum() for s, c in zip(slopes, changes, strict=False)), start=0 * dummy.sum())
+        (force,) = torch.autograd.grad(total, dummy, retain_graph=True, materialize_grads=True)
+        found: Array = force.detach().numpy()
+        return found
+
+    def adjoint(self, gradient: Array) -> tuple[Array, Array, Array, Array, Array]:
+        """Gradients by x_n, v_n, anchors, (Y, S, B) and all values for one by the force (N, 3)."""
+        found = [g.detach().numpy() for g in self._adjoint(torch.from_numpy(gradient), graph=False)]
+        values: Array = np.concatenate(found[4:]) if found[4:] else np.zeros(0)
+        return found[0], found[1], found[2], found[3], values
+
+    def _adjoint(self, gradient: Tensor, *, graph: bool) -> list[Tensor]:
+        inputs = [*self._leaves, *self.values]
+        if not self._forces.requires_grad:
+            return [torch.zeros_like(i) for i in inputs]
+        return list(
+            torch.autograd.grad(
+                self._forces,
+                inputs,
+                gradient,
+                create_graph=graph,
+                retain_graph=True,
+                materialize_grads=True,
+            )
+        )
+
+
+def _gradient(energy: Tensor, positions: Tensor, *, graph: bool) -> Tensor:
+    """Gradient of the sum of ``energy``, 0 where it does not depend on the positions."""
+    if not energy.requires_grad:
+        return torch.zeros_like(positions)
+    (gradient,) = torch.autograd.grad(
+        energy.sum(), positions, create_graph=graph, retain_graph=True, materialize_grads=True
+    )
+    return gradient

@@ -1,0 +1,154 @@
+"""What may act on a cloth within one step beside inertia, the three energies and the external force.
+
+A term is written as torch functions of the new positions and of what is known when the step begins. Whatever
+would make a term couple vertices beyond the band of the Hessian (normals of neighbours, strains, velocities)
+is taken from the past: consistent as the step shrinks, unconditionally stable where the new positions enter.
+Derivatives with respect to the past and to the numbers inside a term come from torch.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, TypeVar
+
+import torch
+from torch import Tensor
+
+from toile.geometry.mesh import grid_faces, vertex_normals
+from toile.physics.cloth import Cloth
+from toile.physics.material import Material
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class StepContext:
+    """What is known when a step begins; one scene.
+
+    Attributes:
+        cloth: see Cloth; N vertices.
+        material: stiffnesses (1,) each.
+        positions: x_n (N, 3) [m].
+        velocities: v_n (N, 3) [m/s].
+        time: of the end of the step since frame 0 [s].
+        time_step: h [s]; a tensor () where derivatives with respect to it are taken.
+        anchors: where the step ends for held vertices (n_held, 3) [m].
+    """
+
+    cloth: Cloth
+    material: Material
+    positions: Tensor
+    velocities: Tensor
+    time: float
+    time_step: float | Tensor
+    anchors: Tensor
+
+    def once(self, key: object, compute: Callable[[], T]) -> T:
+        """What ``compute`` gives, computed once per step: the solver asks for energies many times.
+
+        Args:
+            key: whose it is; usually the term itself, with a name.
+            compute: of this context and the term's numbers alone, not of the new positions.
+        """
+        if key not in self._kept:
+            self._kept[key] = compute()
+        found: T = self._kept[key]
+        return found
+
+    @cached_property
+    def _kept(self) -> dict[object, Any]:
+        return {}
+
+    @cached_property
+    def normals(self) -> Tensor:
+        """Unit normals (N, 3) of the cloth at x_n, towards the side from which its faces turn clockwise."""
+        if self.cloth.grid is None:
+            raise ValueError("normals: expected a cloth on a grid")
+        return vertex_normals(self.positions, grid_faces(*self.cloth.grid))
+
+    def detached(self) -> StepContext:
+        """The same without gradients."""
+        material = self.material
+        return StepContext(
+            cloth=replace(self.cloth, masses=self.cloth.masses.detach()),
+            material=Material(
+                material.stretching.detach(), material.shearing.detach(), material.bending.detach()
+            ),
+            positions=self.positions.detach(),
+            velocities=self.velocities.detach(),
+            time=self.time,
+            time_step=float(torch.as_tensor(self.time_step).detach()),
+            anchors=self.anchors.detach(),
+        )
+
+
+@dataclass(frozen=True)
+class Elements:
+    """Stiffness factors and rest shape of every element.
+
+    Attributes:
+        stretching, shearing, bending: factors on Y, S and B, (E,), (C,), (S,).
+        rest_lengths: (E,) [m].
+        rest_corner_angles: (C,) [rad].
+        rest_straight_angles: (S,) [rad], at least 0.
+    """
+
+    stretching: Tensor
+    shearing: Tensor
+    bending: Tensor
+    rest_lengths: Tensor
+    rest_corner_angles: Tensor
+    rest_straight_angles: Tensor
+
+    @staticmethod
+    def of(cloth: Cloth) -> Elements:
+        """Elements of an unchanged cloth: factors 1, straight angles 0."""
+        counts = (len(cloth.stencils.edges), len(cloth.stencils.corners), len(cloth.stencils.straights))
+        stretching, shearing, bending = (torch.ones(n, dtype=torch.float64) for n in counts)
+        return Elements(
+            stretching,
+            shearing,
+            bending,
+            cloth.rest_lengths,
+            cloth.rest_corner_angles,
+            torch.zeros(counts[2], dtype=torch.float64),
+        )
+
+
+class VertexTerm(ABC):
+    """A potential of every free vertex for itself.
+
+    Attributes:
+        values: numbers inside the term (n,) that derivatives are taken by.
+    """
+
+    values: Tensor = torch.zeros(0, dtype=torch.float64)
+
+    @abstractmethod
+    def energy(self, positions: Tensor, now: StepContext) -> Tensor:
+        """Potential (N,) [J] whose negative gradient acts as a force.
+
+        Args:
+            positions: x_{n+1} (N, 3) [m]; entry i of the result depends on positions[i] only.
+            now: see StepContext.
+        """
+
+
+class ElementTerm(ABC):
+    """A change of stiffness factors or rest shape; terms apply one after the other.
+
+    Attributes:
+        values: numbers inside the term (n,) that derivatives are taken by.
+    """
+
+    values: Tensor = torch.zeros(0, dtype=torch.float64)
+
+    @abstractmethod
+    def elements(self, elements: Elements, now: StepContext) -> Elements:
+        """Elements of this step; where a term changes nothing it returns its argument."""
+
+
+StepTerm = VertexTerm | ElementTerm

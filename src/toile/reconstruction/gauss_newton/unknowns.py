@@ -1,0 +1,417 @@
+"""The unknowns of a window in white coordinates: each is a Gaussian prior around its mean."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from toile.effects.base import Effect
+from toile.effects.setting import Setting
+from toile.geometry.horizontal import horizontal_axes
+from toile.limits import NonNegative, Positive, Unit
+from toile.physics.implicit.linearized import Perturbation
+from toile.physics.simulator import Simulator
+from toile.reconstruction.gauss_newton.conjugate_gradients import Vector
+from toile.reconstruction.parameters import ClothParameters
+from toile.reconstruction.priors import SmoothField, SmoothSeries
+from toile.reconstruction.problem import Reconstruction
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Priors:
+    """Standard deviations of the unknowns; None keeps an unknown fixed.
+
+    Frames are counted, however far apart they are.
+
+    Attributes:
+        turbulence: of each component of the turbulent acceleration [m/s²].
+        turbulence_time: frames over which turbulence is correlated.
+        turbulence_space: vertices over which it is correlated.
+        anchor_motion: of the held vertices' displacement [m].
+        anchor_motion_time: frames over which that is correlated.
+        stiffness: of the logarithm of Y, S and B around their start values.
+        wind: of each horizontal component of the constant wind around zero [m/s²].
+        walk: learn stiffness, wind and effects on the way: their deviations are then those of the change
+            within one window, around the values that the window before has left.
+        effects: of the numbers of the effects around their start values, in units of each one's scale.
+    """
+
+    turbulence: Annotated[Positive, Unit("m/s²")] | None
+    turbulence_time: Annotated[NonNegative, Unit("frames")]
+    turbulence_space: Annotated[NonNegative, Unit("vertices")]
+    anchor_motion: Annotated[Positive, Unit("m")] | None
+    anchor_motion_time: Annotated[NonNegative, Unit("frames")]
+    stiffness: Annotated[Positive, Unit("of the logarithm")] | None
+    wind: Annotated[Positive, Unit("m/s²")] | None
+    walk: bool
+    effects: Annotated[Positive, Unit("of the scales")] | None = None
+
+
+@dataclass(frozen=True)
+class WindowInputs:
+    """What a simulation of the window is given.
+
+    Attributes:
+        simulator: with the effects' terms, masses and time step.
+        forces: (n, N, 3) [N].
+        anchors: held positions (n + 1, n_held, 3) [m].
+    """
+
+    simulator: Simulator
+    forces: Array
+    anchors: Array
+
+
+@dataclass(frozen=True)
+class EffectColumns:
+    """Change of a window's inputs per unit of each of the k numbers that the effects have.
+
+    Attributes:
+        forces: (k, n, N, 3) [N].
+        anchors: (k, n + 1, n_held, 3) [m].
+        inertia: relative change of masses over squared time step (k, N).
+        masses: under the effects (N,) [kg].
+    """
+
+    forces: Array
+    anchors: Array
+    inertia: Array
+    masses: Array
+
+
+class WindowUnknowns:
+    """White coordinates of everything that is free between two frames.
+
+    Args:
+        reconstruction: holds the current parameters.
+        priors: see Priors.
+        start_stiffness: (3,) Y, S, B in network units at the start of the fit.
+        first, last: frames; the motion up to ``first`` is fixed.
+    """
+
+    def __init__(
+        self, reconstruction: Reconstruction, priors: Priors, start_stiffness: Array, first: int, last: int
+    ) -> None:
+        self.reconstruction = reconstruction
+        self.priors = priors
+        self.first, self.last = first, last
+        self.n = last - first
+        self.grid = reconstruction.scene.grid
+        masses = reconstruction.cloth.masses.numpy()
+        self._masses = masses[:, None]
+        self._relative_mass = masses[:, None] / reconstruction.parameters.units.mass
+        units = reconstruction.parameters.units
+        self._interior_mass = units.mass
+        self._stiffness_units = np.array([units.stretching, units.energy, units.energy])
+        gravity = reconstruction.gravity.numpy()
+        # Only a free wind needs them, and where there is no gravity nothing is horizontal.
+        self._horizontal = (
+            np.zeros((2, 3)) if priors.wind is None else horizontal_axes(reconstruction.gravity).numpy()
+        )
+        self._gravity = gravity
+        self._field = (
+            None
+            if priors.turbulence is None
+            else SmoothField(
+                (self.n, *self.grid), priors.turbulence, priors.turbulence_time, priors.turbulence_space
+            )
+        )
+        self._series = (
+            None
+            if priors.anchor_motion is None or len(reconstruction.cloth.held) == 0
+            else SmoothSeries(self.n + 1, priors.anchor_motion, priors.anchor_motion_time)
+        )
+        # Where the window starts the cloth is where it is, held vertices included.
+        self._anchor_free = np.ones((self.n + 1, 1, 1))
+        self._anchor_free[0] = 0.0
+        self._read(reconstruction.parameters)
+        self._mean_stiffness = self._stiffness if priors.walk else start_stiffness
+        self._mean_wind = self._wind if priors.walk else np.zeros(3)
+        self._effects = effects = reconstruction.effects
+        self._values = effects.current().numpy().copy()
+        free = priors.effects is not None and effects.names
+        self._value_deviations = (priors.effects or 0.0) * effects.scales.numpy() if free else None
+        self._mean_values = self._values if priors.walk else effects.start.numpy()
+        self._terms = effects.in_step_terms.numpy()
+        self._columns: tuple[bytes, EffectColumns] | None = None
+        if len(effects):
+            with torch.no_grad():
+                given = reconstruction.setting()
+            self._window_start = given.anchors[first].numpy()
+            self._acting_masses = given.cloth.masses.numpy()
+
+    def _read(self, p: ClothParameters) -> None:
+        self._stored = p.turbulence.detach().numpy()[self.first : self.last].copy()
+        self._turbulence = self._stored / self._relative_mass
+        self._anchors = p.anchor_motion.detach().numpy()[self.first : self.last + 1].copy()
+        self._stiffness = np.array([p.get_parameter(name).item() for name in ClothParameters.STIFFNESSES])
+        self._wind = p.wind.detach().numpy().copy()
+
+    def start(self) -> Vector:
+        """White coordinates of the current parameters."""
+        z: Vector = {}
+        if self._field is not None:
+            z["turbulence"] = self._field.whiten(self._turbulence.reshape(self.n, *self.grid, 3))
+        if self._series is not None:
+            z["anchor_motion"] = self._series.whiten(self._anchors)
+        if self.priors.stiffness is not None:
+            z["stiffness"] = np.log(self._stiffness / self._mean_stiffness) / self.priors.stiffness
+        if self.priors.wind is not None:
+            z["wind"] = self._horizontal @ (self._wind - self._mean_wind) / self.priors.wind
+        if self._value_deviations is not None:
+            z["effects"] = (self._values - self._mean_values) / self._value_deviations
+        return z
+
+    def turbulence(self, z: Vector) -> Array:
+        """Turbulent acceleration (n, N, 3) [m/s²]."""
+        if self._field is None:
+            return self._turbulence
+        return self._field.colour(z["turbulence"]).reshape(self.n, -1, 3)
+
+    def anchor_motion(self, z: Vector) -> Array:
+        """Displacement of the held vertices (n + 1, n_held, 3) [m]."""
+        if self._series is None:
+            return self._anchors
+        motion = self._series.colour(z["anchor_motion"])
+        return np.where(self._anchor_free > 0, motion, self._anchors)
+
+    def stiffness(self, z: Vector) -> Array:
+        """Y, S, B in network units."""
+        if self.priors.stiffness is None:
+            return self._stiffness
+        return self._mean_stiffness * np.exp(self.priors.stiffness * z["stiffness"])
+
+    def wind(self, z: Vector) -> Array:
+        """Constant wind (3,) [m/s²], orthogonal to gravity where it is free."""
+        if self.priors.wind is None:
+            return self._wind
+        return self._mean_wind + self.priors.wind * z["wind"] @ self._horizontal
+
+    def values(self, z: Vector) -> Array:
+        """Numbers of the effects (k,), within their bounds."""
+        if self._value_deviations is None:
+            return self._values
+        values = self._mean_values + self._value_deviations * z["effects"]
+        return np.clip(values, self._effects.low.numpy(), self._effects.high.numpy())
+
+    def within_bounds(self, z: Vector) -> Vector:
+        """White coordinates of the same values, none beyond the effects' bounds."""
+        if self._value_deviations is None:
+            return z
+        return {**z, "effects": np.clip(z["effects"], *self._white_bounds())}
+
+    def stopped(self, z: Vector, vector: Vector, gradient: Vector) -> Vector:
+        """The vector, 0 where a number is at a bound and a step down the gradient would leave it."""
+        if self._value_deviations is None:
+            return vector
+        low, high = self._white_bounds()
+        at, slope = z["effects"], gradient["effects"]
+        outwards = ((at <= low) & (slope > 0)) | ((at >= high) & (slope < 0))
+        return {**vector, "effects": np.where(outwards, 0.0, vector["effects"])}
+
+    def _white_bounds(self) -> tuple[Array, Array]:
+        low, high = self._effects.low.numpy(), self._effects.high.numpy()
+        return (low - self._mean_values) / self._value_deviations, (
+            high - self._mean_values
+        ) / self._value_deviations
+
+    def inputs(self, z: Vector, *, linearize: bool) -> WindowInputs:
+        """What the simulation of the window is given.
+
+        Args:
+            z: white coordinates.
+            linearize: prepare for LinearizedRollout.
+        """
+        r = self.reconstruction
+        if not len(self._effects):
+            anchors = r.template.numpy()[r.cloth.held.numpy()] + self.anchor_motion(z)
+            return WindowInputs(r.simulator, self.forces(z), anchors)
+        acting = self._effects.acting(torch.from_numpy(self.values(z)), as_leaves=linearize)
+        with torch.no_grad():
+            given = self._setting(z, acting)
+            # Terms keep numbers that require gradients; masses and time step must not.
+            cloth = replace(given.cloth, masses=given.cloth.masses.detach())
+            cloth = r.cloth if given.cloth is r.cloth else cloth
+            given = replace(given, cloth=cloth, frame_interval=given.frame_interval.detach())
+            forces = given.forces[self.first : self.last].numpy() + (
+                self._interior_mass * self._stored_turbulence(z)
+            )
+        anchors = given.anchors[self.first : self.last + 1].numpy().copy()
+        anchors[0] = self._window_start
+        return WindowInputs(r.simulator_of(given), forces, anchors)
+
+    def _setting(self, z: Vector, effects: Sequence[Effect]) -> Setting:
+        motion = self.reconstruction.parameters.anchor_motion.detach().clone()
+        motion[self.first : self.last + 1] = torch.from_numpy(self.anchor_motion(z))
+        return self.reconstruction.setting(effects, motion, torch.from_numpy(self.wind(z)))
+
+    def columns(self, z: Vector) -> EffectColumns:
+        """Derivatives of the window's inputs by the effects' numbers; those within step terms are zero."""
+        values = self.values(z)
+        key = b"".join(a.tobytes() for a in (values, self.wind(z), self.anchor_motion(z)))
+        if self._columns is None or self._columns[0] != key:
+            self._columns = key, self._differentiate(z, values)
+        return self._columns[1]
+
+    def _differentiate(self, z: Vector, values: Array) -> EffectColumns:
+        # Effects pass over numbers that are 0 and require no gradients.
+        with torch.enable_grad():
+            at = torch.from_numpy(values).requires_grad_()
+            given = self._setting(z, self._effects.acting(at))
+            masses, interval = given.cloth.masses, given.frame_interval
+            parts = (
+                given.forces[self.first : self.last],
+                given.anchors[self.first : self.last + 1],
+                masses.log() - 2 * interval.log(),
+            )
+            forces, anchors, inertia = (jacobian_columns(part, at).numpy() for part in parts)
+        # The window starts where the cloth is.
+        anchors[:, 0] = 0.0
+        return EffectColumns(forces, anchors, inertia, masses.detach().numpy())
+
+    def forces(self, z: Vector) -> Array:
+        """External forces (n, N, 3) [N], rounded as ClothParameters.forces rounds the stored values.
+
+        Without effects.
+        """
+        constant = self._masses * (self._gravity + self.wind(z))
+        return constant + self._interior_mass * self._stored_turbulence(z)
+
+    def _stored_turbulence(self, z: Vector) -> Array:
+        """Turbulence as the parameters store it, per interior mass (n, N, 3) [m/s²]."""
+        if self._field is None:
+            return self._stored
+        return self.turbulence(z) * self._relative_mass
+
+    def si_stiffness(self, z: Vector) -> Array:
+        """Y [N/m], S [N·m], B [N·m]."""
+        return self.stiffness(z) * self._stiffness_units
+
+    def tangent(self, z: Vector, d: Vector) -> Perturbation:
+        """Change of the rollout's inputs for a change d of the white coordinates at z."""
+        n_vertices = self._masses.shape[0]
+        acceleration = np.zeros((self.n, n_vertices, 3))
+        if self._field is not None:
+            acceleration += self._field.colour(d["turbulence"]).reshape(self.n, -1, 3)
+        blown = np.zeros(3)
+        if self.priors.wind is not None:
+            blown = self.priors.wind * d["wind"] @ self._horizontal
+        stiffness = np.zeros(3)
+        if self.priors.stiffness is not None:
+            stiffness = self.si_stiffness(z) * self.priors.stiffness * d["stiffness"]
+        anchors = np.zeros_like(self._anchors)
+        if self._series is not None:
+            anchors = self._series.colour(d["anchor_motion"]) * self._anchor_free
+        rest = np.zeros((n_vertices, 3))
+        if not len(self._effects):
+            return Perturbation(self._masses * (acceleration + blown), stiffness, anchors, rest, rest)
+        forces = self._masses * acceleration + self._masses_at(z)[:, None] * blown
+        if self._value_deviations is None:
+            return Perturbation(forces, stiffness, anchors, rest, rest)
+        columns = self.columns(z)
+        change = self._value_deviations * d["effects"]
+        return Perturbation(
+            forces + np.tensordot(change, columns.forces, 1),
+            stiffness,
+            anchors + np.tensordot(change, columns.anchors, 1),
+            rest,
+            rest,
+            values=change[self._terms],
+            inertia=change @ columns.inertia if self._effects.change_inertia else np.zeros(0),
+        )
+
+    def adjoint(self, z: Vector, gradient: Perturbation) -> Vector:
+        """Gradient with respect to the white coordinates from one with respect to the rollout's inputs."""
+        acceleration = gradient.forces * self._masses
+        out: Vector = {}
+        if self._field is not None:
+            out["turbulence"] = self._field.colour_adjoint(acceleration.reshape(self.n, *self.grid, 3))
+        if self._series is not None:
+            out["anchor_motion"] = self._series.colour_adjoint(gradient.anchors * self._anchor_free)
+        if self.priors.stiffness is not None:
+            out["stiffness"] = gradient.stiffness * self.si_stiffness(z) * self.priors.stiffness
+        if self.priors.wind is not None:
+            out["wind"] = self.priors.wind * (self._horizontal @ acceleration.sum((0, 1)))
+        if self._value_deviations is not None:
+            columns = self.columns(z)
+            slope = np.tensordot(columns.forces, gradient.forces, 3)
+            slope += np.tensordot(columns.anchors, gradient.anchors, 3)
+            slope[self._terms] += gradient.values
+            if self._effects.change_inertia:
+                slope += columns.inertia @ gradient.inertia
+            out["effects"] = self._value_deviations * slope
+        if len(self._effects) and self.priors.wind is not None:
+            pushed = (self._masses_at(z)[:, None] * gradient.forces).sum((0, 1))
+            out["wind"] = self.priors.wind * (self._horizontal @ pushed)
+        return out
+
+    def _masses_at(self, z: Vector) -> Array:
+        """Masses (N,) [kg] under the effects."""
+        return self._acting_masses if self._value_deviations is None else self.columns(z).masses
+
+    def write(self, z: Vector) -> None:
+        """Store the values in the reconstruction's parameters."""
+        p = self.reconstruction.parameters
+        drift = self._drift(z)
+        with torch.no_grad():
+            if self._field is not None:
+                p.turbulence[self.first : self.last] = torch.from_numpy(
+                    self.turbulence(z) * self._relative_mass
+                )
+            p.anchor_motion[self.first : self.last + 1] = torch.from_numpy(self.anchor_motion(z))
+            for name, value in zip(ClothParameters.STIFFNESSES, self.stiffness(z), strict=True):
+                p.get_parameter(name).fill_(float(value))
+            # The frames before the window keep the forces that have brought the cloth to where it starts.
+            p.turbulence[: self.first] += drift
+            p.wind.copy_(torch.from_numpy(self.wind(z)))
+            if self._effects.values is not None:
+                self._effects.values.copy_(torch.from_numpy(self.values(z)))
+
+    def _drift(self, z: Vector) -> Tensor:
+        """What the steady forces lose before the window, as turbulence (first or 1, N, 3) [m/s²]."""
+        if not len(self._effects):
+            return torch.from_numpy(self._relative_mass * (self._wind - self.wind(z)))[None]
+        return force_change(self.reconstruction, self.values(z), self.wind(z))[: self.first]
+
+
+@torch.no_grad()
+def force_change(reconstruction: Reconstruction, values: Array, wind: Array) -> Tensor:
+    """External forces now minus those for other numbers of the effects and wind, (F-1, N, 3).
+
+    Args:
+        reconstruction: with the numbers and the wind of now.
+        values: of the effects (k,).
+        wind: (3,) [m/s²].
+
+    Returns:
+        Force over an interior vertex's mass [m/s²], as turbulence is stored.
+    """
+    acting = reconstruction.effects.acting(torch.from_numpy(values))
+    other = reconstruction.setting(acting, wind=torch.from_numpy(wind)).forces
+    return (reconstruction.setting().forces - other) / reconstruction.parameters.units.mass
+
+
+def jacobian_columns(outputs: Tensor, values: Tensor) -> Tensor:
+    """Derivatives (k, ...) of outputs (...) by few values (k,), which they were made of.
+
+    The product of the transposed Jacobian and a vector is linear in the vector; its own derivatives are the
+    columns.
+    """
+    columns = torch.zeros(len(values), *outputs.shape, dtype=outputs.dtype)
+    if not outputs.requires_grad:
+        return columns
+    dummy = torch.zeros_like(outputs, requires_grad=True)
+    (products,) = torch.autograd.grad(outputs, values, dummy, create_graph=True, materialize_grads=True)
+    for column, product in zip(columns, products, strict=True):
+        if product.requires_grad:
+            (found,) = torch.autograd.grad(product, dummy, retain_graph=True, materialize_grads=True)
+            column.copy_(found)
+    return columns

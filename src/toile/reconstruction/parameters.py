@@ -1,0 +1,71 @@
+"""Everything a fit may change, as one module with named parameters."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import torch
+from torch import Tensor, nn
+
+from toile.limits import Positive, Unit
+from toile.physics.material import Material
+from toile.physics.units import NetworkUnits
+
+
+class ClothParameters(nn.Module):
+    """Unknowns of one reconstruction; N vertices, F frames, n held vertices.
+
+    Attributes:
+        stretching, shearing, bending: stiffnesses in the paper's network units (edge 1, frame interval 1,
+            interior mass 1), shape ().
+        wind: constant external force per mass beside gravity [m/s²], shape (3,).
+        turbulence: external force that varies over vertices and frames, divided by an interior vertex's mass
+            [m/s²], shape (F-1, N, 3); entry t acts between frame t and frame t + 1.
+        anchor_motion: displacement of the held vertices from the template [m], shape (F, n, 3).
+        texture_offset: change of the texture coordinates, shape (N, 2).
+    """
+
+    NAMES = ("stretching", "shearing", "bending", "wind", "turbulence", "anchor_motion", "texture_offset")
+    STIFFNESSES = ("stretching", "shearing", "bending")
+
+    def __init__(
+        self,
+        n_frames: int,
+        n_vertices: int,
+        n_held: int,
+        units: NetworkUnits,
+        *,
+        stretching: Annotated[Positive, Unit("network units")],
+        shearing: Annotated[Positive, Unit("network units")],
+        bending: Annotated[Positive, Unit("network units")],
+    ) -> None:
+        super().__init__()
+        double = torch.float64
+        self.units = units
+        self.stretching = nn.Parameter(torch.tensor(stretching, dtype=double))
+        self.shearing = nn.Parameter(torch.tensor(shearing, dtype=double))
+        self.bending = nn.Parameter(torch.tensor(bending, dtype=double))
+        self.wind = nn.Parameter(torch.zeros(3, dtype=double))
+        self.turbulence = nn.Parameter(torch.zeros(n_frames - 1, n_vertices, 3, dtype=double))
+        self.anchor_motion = nn.Parameter(torch.zeros(n_frames, n_held, 3, dtype=double))
+        self.texture_offset = nn.Parameter(torch.zeros(n_vertices, 2, dtype=double))
+
+    def material(self) -> Material:
+        """Stiffnesses in SI units, batch of one."""
+        return Material(
+            stretching=(self.stretching * self.units.stretching)[None],
+            shearing=(self.shearing * self.units.energy)[None],
+            bending=(self.bending * self.units.energy)[None],
+        )
+
+    def forces(self, masses: Tensor, gravity: Tensor, first: int, last: int) -> Tensor:
+        """External forces of frames first + 1 ... last, (last - first, N, 3) [N].
+
+        Args:
+            masses: (N,) [kg].
+            gravity: (3,) [m/s²].
+            first: first frame of the window.
+            last: last frame of the window.
+        """
+        constant = masses[:, None] * (gravity + self.wind)
+        return constant + self.units.mass * self.turbulence[first:last]

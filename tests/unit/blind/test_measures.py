@@ -1,0 +1,196 @@
+"""Marks of answers that are known to be right or wrong."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from toile.blind.measures import (
+    average_precision,
+    confusion,
+    detection,
+    f1,
+    mark,
+    measured,
+    wilson,
+)
+from toile.blind.sealing import Sealed
+from toile.diagnosis.record import (
+    Alias,
+    EffectReport,
+    Estimate,
+    GapReport,
+    Protocol,
+    Shrink,
+    Verdict,
+    Where,
+)
+
+EMPTY = np.zeros((1, 1, 1, 3), np.float32)
+
+
+def label(*effects: str, stage: str = "mechanics", inside: bool = True, gap: float = 3.0) -> dict[str, Any]:
+    return {
+        "effect": "+".join(effects) or "none",
+        "effects": list(effects),
+        "levels": ["medium"] * len(effects),
+        "stage": stage if effects else "none",
+        "stage_accept": [stage] if effects else ["none"],
+        "in_catalogue": inside,
+        "generator": "reality",
+        "comparable": {},
+        "magnitude": {
+            "mean_last_third": gap if effects else 0.0,
+            "alone": {e: {"value": gap, "measure": "motion"} for e in effects},
+        },
+        "localisation": {"vertices": [0], "frames": [2, 3]},
+    }
+
+
+def answer(effect: str, *candidates: str, stage: str = "mechanics", p: float = 0.95, also: str | None = None):
+    shrink = Shrink("position", "late", 10.0, 4.0, 0.6, 0.5, 0.7, 0.12)
+    return GapReport(
+        Verdict(effect, candidates or (effect,), stage, p, "", "", also),
+        Where({}, (1.0, 1.0, 4.0, 3.0), None),
+        (
+            EffectReport("air_drag", "mechanics", 0.9, {}, shrink),
+            EffectReport("frame_rate", "mechanics", 0.0, {"log_factor": Estimate(0.11, 0.09, 0.13, "1")}),
+            EffectReport(
+                "gusts",
+                "actuation",
+                0.1,
+                {},
+                replace(shrink, with_effect=9.0, estimate=0.1, low=0.0, high=0.2, best_placebo=0.06),
+            ),
+        ),
+        Alias(("air_drag", "gusts"), ((1.0, 0.3), (0.3, 1.0)), {"air_drag": 0.2}),
+        Protocol(0, (0,), (1,), "", "gusts"),
+    )
+
+
+def marked(truth: dict[str, Any], report: GapReport | None, alias: float = 0.9) -> dict[str, Any]:
+    return mark("x", Sealed(truth, EMPTY, EMPTY), report, Path(), alias=alias)
+
+
+def test_right_single() -> None:
+    row = marked(label("air_drag"), answer("air_drag"))
+    assert row["kind"] == "single"
+    assert row["top1"]
+    assert row["stage_right"]
+    assert row["set_right"]
+    assert row["identifiable"]
+    assert row["placebo_of_true"] == pytest.approx(0.2)
+    assert row["improved"]
+    assert row["frames_f1"] == 1.0
+    assert not row["naive_top1"]
+    assert row["naive_confidently_wrong"]
+
+
+def test_magnitude_of_a_number_that_both_sides_have() -> None:
+    row = marked(slow_camera(), answer("frame_rate"))
+    assert row["magnitude_error"] == pytest.approx(0.1)
+    assert row["magnitude_covered"]
+    assert "magnitude_error" not in marked(label("air_drag"), answer("air_drag"))
+
+
+def slow_camera() -> dict[str, Any]:
+    """A clip from Blender whose frames are further apart than declared, by a logarithm of 0.1."""
+    return {**label("frame_rate"), "generator": "blender", "parameters": {"error": np.expm1(-0.1)}}
+
+
+def test_aliased_single_should_be_called_ambiguous() -> None:
+    row = marked(label("air_drag"), answer("ambiguous", "air_drag", "gusts"), alias=0.25)
+    assert row["identifiable"] is False
+    assert row["called_ambiguous"]
+    assert not row["top1"]
+
+
+def test_nulls_outside_and_pairs() -> None:
+    assert marked(label(), answer("air_drag"))["false_alarm"]
+    assert not marked(label(), answer("none", stage="none"))["false_alarm"]
+    assert not marked(label(), answer("ambiguous", "air_drag", "none"))["false_alarm"]
+    outside = label("vortex_field", inside=False)
+    assert marked(outside, answer("unknown"))["abstains"]
+    assert marked(outside, answer("air_drag"))["confidently_wrong"]
+    assert not marked(outside, answer("air_drag", p=0.5))["confidently_wrong"]
+    pair = label("air_drag", "shading")
+    assert marked(pair, answer("air_drag"))["pair_right"]
+    assert marked(pair, answer("shading", also="air_drag"))["pair_right"]
+    assert not marked(pair, answer("air_drag", also="gusts"))["pair_right"]
+    assert not marked(pair, answer("none"))["pair_right"]
+
+
+def test_no_diagnosis_is_wrong() -> None:
+    row = marked(label("air_drag"), None)
+    assert not row["top1"]
+    assert not row["stage_right"]
+
+
+def test_table() -> None:
+    rows = [marked(label("air_drag"), answer("air_drag")) for _ in range(9)]
+    rows += [marked(label("air_drag"), answer("gusts", stage="actuation"))]
+    rows += [marked(label(), answer("none", stage="none")) for _ in range(5)]
+    marks = pd.DataFrame(rows)
+    table = measured(marks, resamplings=200, seed=0).set_index("measure")
+    assert table.loc["stage accuracy", "value"] == pytest.approx(14 / 15)
+    top = table.loc["top-1 effect, identifiable singles"]
+    assert top["value"] == pytest.approx(0.9)
+    assert top["low"] < 0.9 < top["high"]
+    assert top["naive"] == 0.0
+    assert table.loc["false alarms on nulls", "high"] > 0.3  # five nulls say little
+    assert table.loc["false alarms on nulls", "scenes"] == 5
+    assert table.loc["scenes improved", "scenes"] == 10
+    assert table.loc["false alarms on nulls", "naive"] == 1.0
+    assert np.isnan(table.loc["outside: abstains", "value"])
+    assert confusion(marks).loc["air_drag", "gusts"] == 1
+    found = detection(marks).set_index("effect").loc["air_drag"]
+    assert (found["found"], found["scenes"]) == (9, 10)
+
+
+def test_scores() -> None:
+    truth = np.array([True, True, False, False])
+    assert average_precision(truth, np.array([0.9, 0.8, 0.1, 0.0])) == 1.0
+    assert average_precision(truth, np.zeros(4)) == 0.5
+    assert f1(truth, truth) == 1.0
+    low, high = wilson(0, 10)
+    assert low == 0.0
+    assert 0.2 < high < 0.4
+
+
+def test_scores_on_another_grid_than_the_labels(tmp_path: Path) -> None:
+    """Vertices of a label count on the scene's grid, scores on that of the model."""
+    report = answer("air_drag")
+    report = replace(report, where=replace(report.where, vertices="scores.npy"))
+    np.save(tmp_path / "scores.npy", np.linspace(0, 1, 4)[:, None] * np.ones(3))
+    truth = label("air_drag")
+    truth["localisation"]["vertices"] = list(range(54, 63))  # the last row of 7 × 9: the highest scores
+    vertices = np.zeros((4, 7, 9, 3), np.float32)
+    row = mark("x", Sealed(truth, vertices, vertices), report, tmp_path, alias=0.9)
+    assert row["vertices_auprc"] == 1.0
+
+
+def test_only_scenes_with_a_mark_count() -> None:
+    # Of gusts no magnitude is known that could be compared.
+    other = label("gusts", stage="actuation", gap=2.0)
+    rows = [marked(slow_camera(), answer("frame_rate")), marked(other, answer("gusts", stage="actuation"))]
+    table = measured(pd.DataFrame(rows), resamplings=20, seed=0).set_index("measure")
+    assert table.loc["magnitude: median error", "scenes"] == 1
+    assert table.loc["top-1 effect, identifiable singles", "scenes"] == 2
+
+
+def test_size_is_missing_where_nothing_names_it() -> None:
+    optical = label("motion_blur", stage="appearance")
+    optical["magnitude"] = {"mean_last_third": 0.0, "alone": {}}
+    assert np.isnan(marked(optical, answer("motion_blur", stage="appearance"))["size"])
+
+
+def test_runner_up_and_placebo_without_the_true_effect() -> None:
+    row = marked(label("frame_rate"), answer("air_drag"))
+    assert "shrink_true" not in row
+    assert (row["runner_up"], row["shrink_runner_up"], row["shrink_placebo"]) == ("air_drag", 0.6, 0.12)
+    assert "improved" not in row

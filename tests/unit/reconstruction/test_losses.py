@@ -1,0 +1,95 @@
+"""Terms of the loss on values worked out by hand."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor
+
+from toile.errors import InputError
+from toile.reconstruction.losses.force_regularization import ForceRegularization
+from toile.reconstruction.losses.image import ImageLoss
+from toile.reconstruction.losses.image_gradient import ImageGradientLoss
+from toile.reconstruction.losses.silhouette import SilhouetteLoss
+from toile.rendering.base import RenderedImages
+
+
+def rendered(rgb: Tensor | None = None, silhouette: Tensor | None = None) -> RenderedImages:
+    if rgb is None:
+        assert silhouette is not None
+        rgb = torch.zeros(*silhouette.shape, 3)
+    if silhouette is None:
+        silhouette = torch.zeros(rgb.shape[:3])
+    return RenderedImages(rgb, silhouette, torch.zeros(rgb.shape[:3]))
+
+
+def test_image_loss_sums_channels_and_averages_pixels() -> None:
+    rgb = torch.zeros(2, 2, 2, 3)
+    rgb[0, 1, 0] = torch.tensor([1.0, 0.5, 0.25])
+    frames = torch.zeros_like(rgb)
+    frames[1, 0, 0, 2] = 0.5
+    loss = ImageLoss(weight=2.0)(rendered(rgb), frames, torch.zeros(2, 2, 2))
+    assert loss.item() == pytest.approx(2.0 * (1.75 + 0.5) / 8)
+
+
+def test_image_gradient_loss_does_not_see_brightness() -> None:
+    frames = torch.rand(1, 9, 9, 3, generator=torch.Generator().manual_seed(0))
+    loss = ImageGradientLoss(1.0)(rendered(frames + 0.25), frames, torch.ones(1, 9, 9))
+    assert loss.item() == pytest.approx(0.0, abs=1e-6)
+
+
+def test_image_gradient_loss_of_a_ramp() -> None:
+    # 0.1 per pixel along x in one channel; half of it in the first and last column, where the image ends.
+    rgb = torch.zeros(1, 3, 4, 3)
+    rgb[..., 1] = 0.1 * torch.arange(4.0)
+    loss = ImageGradientLoss(1.0)(rendered(rgb), torch.zeros_like(rgb), torch.ones(1, 3, 4))
+    assert loss.item() == pytest.approx((0.05 + 0.1 + 0.1 + 0.05) / 4, rel=1e-5)
+
+
+def test_silhouette_loss_of_one_pixel_is_its_share() -> None:
+    # The blur spreads a pixel over 43 × 43 px but keeps its sum.
+    silhouette = torch.zeros(1, 61, 61)
+    silhouette[0, 30, 30] = 1.0
+    loss = SilhouetteLoss(sigma=7.0, weight=1.0)(
+        rendered(silhouette=silhouette), torch.zeros(1, 61, 61, 3), torch.zeros(1, 61, 61)
+    )
+    assert loss.item() == pytest.approx(1 / 61**2, rel=1e-4)
+
+
+def test_silhouette_loss_pulls_over_a_gap() -> None:
+    # Without overlap plain masks have no gradient; blurred ones ask for coverage towards the mask.
+    mask = torch.zeros(1, 40, 40)
+    mask[0, :, 30:] = 1.0
+    silhouette = torch.zeros(1, 40, 40, requires_grad=True)
+    SilhouetteLoss(7.0, 1.0)(rendered(silhouette=silhouette), torch.zeros(1, 40, 40, 3), mask).backward()
+    assert silhouette.grad is not None
+    assert silhouette.grad[0, 20, 25] < 0
+
+
+def field() -> Tensor:
+    """One vector of 2 that lasts for one frame on a 2 × 3 grid, over 2 frames."""
+    t = torch.zeros(2, 2, 3, 3, dtype=torch.float64)
+    t[0, 0, 0, 1] = 2.0
+    return t
+
+
+@pytest.mark.parametrize(
+    ("weights", "total", "mean"),
+    [
+        ((1.0, 0.0, 0.0), 4.0, 4.0 / 12),  # 2 frames × 6 vertices
+        ((0.0, 1.0, 0.0), 4.0, 4.0 / 6),  # 1 change in time × 6 vertices
+        ((0.0, 0.0, 1.0), 8.0, 4.0 / 6 + 4.0 / 8),  # 2 frames × 3 changes along i, 4 along j
+    ],
+)
+def test_force_regularization(weights: tuple[float, float, float], total: float, mean: float) -> None:
+    assert ForceRegularization(*weights, "sum")(field()).item() == pytest.approx(total)
+    assert ForceRegularization(*weights, "mean")(field()).item() == pytest.approx(mean)
+
+
+def test_force_regularization_of_a_single_frame() -> None:
+    assert ForceRegularization(1.0, 1.0, 0.0, "mean")(field()[:1]).item() == pytest.approx(4.0 / 6)
+
+
+def test_unknown_convention() -> None:
+    with pytest.raises(InputError, match=r"sum \(as printed\) or mean"):
+        ForceRegularization(1.0, 1.0, 1.0, "average")  # type: ignore[arg-type]
