@@ -8,7 +8,10 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
+from toile.geometry.mesh import face_normals
 from toile.physics.energies.bending import Bending
+from toile.physics.energies.dihedral_bending import DihedralBending, rest_hinges
+from toile.physics.energies.membrane import Membrane, NeoHookean, rest_triangles
 from toile.physics.energies.shearing import Shearing
 from toile.physics.energies.stretching import Stretching
 from toile.physics.energies.term import InternalEnergy
@@ -159,5 +162,47 @@ def grid_cloth(
             )
         ),
         masses=grid_masses(*grid, cloth_size, areal_density),
+        held=torch.tensor(held, dtype=torch.int64),
+    )
+
+
+def mesh_masses(positions: Tensor, faces: Tensor, areal_density: float) -> Tensor:
+    """Vertex masses (N,) [kg] of a triangle mesh: ρ times a third of every face around a vertex."""
+    areas = 0.5 * face_normals(positions.to(torch.float64), faces).norm(dim=-1)
+    masses = torch.zeros(len(positions), dtype=torch.float64)
+    for corner in range(3):
+        masses = masses.index_add(0, faces[:, corner], areas * (areal_density / 3))
+    return masses
+
+
+def mesh_cloth(
+    rest: Tensor,
+    faces: Tensor,
+    areal_density: float,
+    held: tuple[int, ...],
+    membrane: type[Membrane] = NeoHookean,
+    *,
+    flat: bool = True,
+) -> Cloth:
+    """A cloth on any manifold triangle mesh: a membrane and bending at the inner edges.
+
+    Args:
+        rest: positions at rest (N, 3) [m].
+        faces: (T, 3), all turned to the same side.
+        areal_density: [kg/m²].
+        held: indices of held vertices.
+        membrane: which energy of in-plane strain.
+        flat: it wants to be flat, as woven; else it keeps the angles of ``rest``.
+    """
+    topology = Topology(len(rest), faces)
+    return Cloth(
+        topology=topology,
+        energies=InternalEnergy(
+            (
+                membrane(topology.faces, rest_triangles(rest, topology.faces)),
+                DihedralBending(topology.hinges, rest_hinges(rest, topology.hinges, flat=flat)),
+            )
+        ),
+        masses=mesh_masses(rest, topology.faces, areal_density),
         held=torch.tensor(held, dtype=torch.int64),
     )
