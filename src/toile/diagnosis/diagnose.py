@@ -82,7 +82,6 @@ from toile.effects.base import BrightnessEffect, CameraEffect, Effect, ExposureE
 from toile.effects.catalogue import STAGES
 from toile.errors import InputError
 from toile.limits import Count, CountOrZero, Fraction, Positive, Seed, Unit
-from toile.physics.cloth import GRID_PARAMETERS
 from toile.physics.implicit.integrators import BDF2
 from toile.physics.implicit.simulator import ImplicitSimulator
 from toile.reconstruction.gauss_newton.recipe import TrackingRecipe
@@ -735,11 +734,8 @@ def _start_stiffness(reconstruction: Reconstruction, stiffness: tuple[float, flo
     """Track with the same fabric whatever the scene's grid."""
     p = reconstruction.parameters
     cell = p.units.length**2
-    units = [p.units.of(parameter.unit) for parameter in GRID_PARAMETERS]
-    values = (stiffness[0], stiffness[1] * cell, stiffness[2])
-    with torch.no_grad():
-        for name, value, unit in zip(p.STIFFNESSES, values, units, strict=True):
-            p.get_parameter(name).fill_(value / unit)
+    values = torch.tensor([stiffness[0], stiffness[1] * cell, stiffness[2]], dtype=torch.float64)
+    p.set_stiffness((values / p.stiffness_units).tolist())
 
 
 def _write_arrays(path: Path, arrays: dict[str, Array]) -> None:

@@ -86,7 +86,7 @@ class GeneratorSettings:
         for name in (*positive, "image_scale", "settled", "newton_tolerance"):
             if not getattr(self, name) > 0:
                 raise wrong_setting(name, "a number above 0", getattr(self, name))
-        for name in ("stretching", "shearing", "bending", "blur", "noise"):
+        for name in (*GRID_PARAMETERS.names, "blur", "noise"):
             if not getattr(self, name) >= 0:
                 raise wrong_setting(name, "a number of at least 0", getattr(self, name))
         if min(self.grid) < 3 or min(self.cloth_size) <= 0:

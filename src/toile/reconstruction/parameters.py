@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated
 
 import torch
@@ -50,6 +51,21 @@ class ClothParameters(nn.Module):
         self.turbulence = nn.Parameter(torch.zeros(n_frames - 1, n_vertices, 3, dtype=double))
         self.anchor_motion = nn.Parameter(torch.zeros(n_frames, n_held, 3, dtype=double))
         self.texture_offset = nn.Parameter(torch.zeros(n_vertices, 2, dtype=double))
+
+    @property
+    def stiffness_units(self) -> Tensor:
+        """SI per network unit of every stiffness, in the order of ``GRID_PARAMETERS``."""
+        return torch.tensor([self.units.of(p.unit) for p in GRID_PARAMETERS], dtype=torch.float64)
+
+    def stiffness(self) -> Tensor:
+        """Stiffnesses in network units without gradients, in the order of ``GRID_PARAMETERS``."""
+        return torch.stack([self.get_parameter(name) for name in GRID_PARAMETERS.names]).detach()
+
+    @torch.no_grad()
+    def set_stiffness(self, values: Sequence[float]) -> None:
+        """Set them, in network units."""
+        for name, value in GRID_PARAMETERS.unpack(values).items():
+            self.get_parameter(name).fill_(float(value))
 
     def material(self) -> Material:
         """Stiffnesses in SI units, batch of one."""
