@@ -18,8 +18,8 @@ import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 from scipy.linalg import cho_factor, cho_solve
-
 from toile.physics.implicit.banded import BandedCholesky
+
 from toile.physics.implicit.integrators import BDF2
 
 HEADER = ["solver", "factorise [ms]", "solve [ms]", "total [ms]", "relative residual", "note"]

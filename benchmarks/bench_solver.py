@@ -27,13 +27,12 @@ import numpy as np  # noqa: E402
 import torch  # noqa: E402
 from numpy.typing import NDArray  # noqa: E402
 
-from toile.physics.cloth import grid_cloth  # noqa: E402
-from toile.physics.implicit.banded import BandedCholesky  # noqa: E402
+from toile.physics.cloth import grid_cloth, grid_material  # noqa: E402
 from toile.physics.implicit.integrators import BDF2, Integrator  # noqa: E402
+from toile.physics.implicit.linear_solvers.base import Factor  # noqa: E402
 from toile.physics.implicit.linearized import LinearizedRollout, Perturbation  # noqa: E402
 from toile.physics.implicit.newton import NewtonSettings  # noqa: E402
 from toile.physics.implicit.simulator import ImplicitSimulator  # noqa: E402
-from toile.physics.material import Material  # noqa: E402
 from toile.physics.rollout import Rollout, rollout  # noqa: E402
 from toile.physics.state import State  # noqa: E402
 
@@ -102,7 +101,7 @@ class Scene:
         self.anchors[:, :, 0, 0] += 0.02 * (1 - torch.cos(4 * t))
         gravity = torch.tensor([0.0, 9.81, 0.0], dtype=torch.float64)
         self.forces = (self.cloth.masses[:, None] * gravity).expand(1, frames - 1, -1, 3).contiguous()
-        self.material = Material(*torch.from_numpy(STIFFNESS)[:, None].unbind(0))
+        self.material = grid_material(*torch.from_numpy(STIFFNESS)[:, None].unbind(0))
 
     def run(self, scale: float = 1.0, warm_start: torch.Tensor | None = None, **more: bool) -> Rollout:
         """The rollout, with the material scaled by a factor."""
@@ -110,7 +109,7 @@ class Scene:
             self.start, torch.zeros_like(self.start), self.simulator.time_step, self.simulator.n_past
         )
         m = self.material
-        material = Material(m.stretching * scale, m.shearing * scale, m.bending * scale)
+        material = grid_material(m["stretching"] * scale, m["shearing"] * scale, m["bending"] * scale)
         return rollout(
             self.simulator, state, material, self.forces, self.anchors, self.substeps, warm_start, **more
         )
@@ -128,25 +127,21 @@ def parts(grid: int, repeats: int) -> list[list[object]]:
     """Assembly, factorisation and solve at a state in motion."""
     simulator, motion, k = hanging_cloth(grid, 2, BDF2(), 16)
     assembly, x = simulator.assembly, motion.positions[0, -1].numpy()
-    _, band, _ = assembly.hessian(x, k, convex=False)
-    assembly.add_diagonal(band, simulator.inertia)
-    work = band.copy()
+    _, blocks = assembly.hessian(x, k, convex=False)
 
-    def factorise() -> BandedCholesky | None:
-        np.copyto(work, band)
-        return BandedCholesky.factorise(work)
+    def factorise() -> Factor | None:
+        return simulator.solver.factorise(blocks, simulator.inertia)
 
     factor = factorise()
     if factor is None:
         raise RuntimeError("the Hessian is not positive definite at the state of the benchmark")
-    kept = BandedCholesky(factor.band.copy())
-    right = np.random.default_rng(0).normal(size=band.shape[0])
+    right = np.random.default_rng(0).normal(size=x.shape)
     calls: dict[str, Callable[[], object]] = {
         "energies": lambda: assembly.energies(x),
         "gradients": lambda: assembly.gradients(x),
-        "Hessian, gradients, coupling": lambda: assembly.hessian(x, k, convex=False),
+        "Hessian, gradients": lambda: assembly.hessian(x, k, convex=False),
         "factorisation": factorise,
-        "solve": lambda: kept.solve(right),
+        "solve": lambda: factor.solve(right),
     }
     rows: list[list[object]] = []
     for name, call in calls.items():

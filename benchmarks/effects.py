@@ -50,11 +50,11 @@ from toile.generation.settings import GeneratorSettings
 from toile.generation.starting_point import settled_sheet, starting_point
 from toile.generation.textures import procedural_texture
 from toile.geometry.mesh import grid_faces, vertex_normals
+from toile.physics.cloth import grid_material
 from toile.physics.implicit.integrators import BDF2
 from toile.physics.implicit.newton import NewtonSettings
 from toile.physics.implicit.simulator import ImplicitSimulator
 from toile.physics.linearizable import LinearizableSimulator
-from toile.physics.material import Material
 from toile.physics.rollout import rollout
 from toile.reconstruction.effects import FitEffects
 from toile.reconstruction.gauss_newton.recipe import GrowingWindows
@@ -301,7 +301,7 @@ def deviations(made: Reconstruction, unknowns: WindowUnknowns) -> dict[str, Arra
         motion = rollout(
             given.simulator,
             replace(start, positions=start.positions.detach()),
-            Material(k[0], k[1], k[2]),
+            grid_material(k[0], k[1], k[2]),
             torch.from_numpy(given.forces)[None],
             torch.from_numpy(given.anchors)[None],
             SUBSTEPS,

@@ -91,8 +91,7 @@ def _out_of_balance(
     simulator: LinearizableSimulator, case: Case, x: Tensor, prediction: Tensor, force: Tensor, beta: float
 ) -> Tensor:
     """Eq. 13 in float64, (N, 3) [N]."""
-    material = case.material
-    k = torch.stack((material.stretching, material.shearing, material.bending), -1)[0]
+    k = case.material.values[0]
     internal = torch.tensordot(k, torch.from_numpy(simulator.assembly.gradients(x.numpy())), 1)
     inertia = case.cloth.masses / (beta * case.time_step) ** 2
     return inertia[:, None] * (prediction - x) - internal + force

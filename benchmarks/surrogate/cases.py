@@ -30,7 +30,7 @@ from toile.learning.surrogate.held_corners import (
 )
 from toile.learning.surrogate.materials import MaterialRanges
 from toile.learning.surrogate.rest_shapes import RestShapes, RestShapeSampler
-from toile.physics.cloth import Cloth, grid_cloth, template_rest_lengths
+from toile.physics.cloth import Cloth, grid_cloth, grid_material, template_rest_lengths
 from toile.physics.implicit.integrators import BDF2, BackwardEuler, Integrator
 from toile.physics.material import Material
 from toile.physics.state import State
@@ -238,7 +238,7 @@ def _cloth(shapes: RestShapes, edge: float, held: tuple[int, ...]) -> Cloth:
 def _material(stiffness: list[float], units: NetworkUnits) -> Material:
     y, s, b = stiffness
     si = (y * units.stretching, s * units.energy, b * units.energy)
-    return Material(*(torch.tensor([k], dtype=torch.float64) for k in si))
+    return grid_material(*(torch.tensor([k], dtype=torch.float64) for k in si))
 
 
 def _numbers(stiffness: list[float], gravity: float) -> dict[str, float]:

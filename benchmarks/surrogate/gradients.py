@@ -9,8 +9,8 @@ from torch import Tensor
 from surrogate.cases import FIRST_SEED, Case, fits_case
 from surrogate.contenders import Build, solver
 from surrogate.saddles import Saddles
+from toile.physics.cloth import grid_material
 from toile.physics.linearizable import LinearizableSimulator
-from toile.physics.material import Material
 from toile.physics.rollout import rollout
 from toile.physics.state import State
 
@@ -67,9 +67,9 @@ def _parameters(case: Case) -> dict[str, Tensor]:
     """Leaves of the computation."""
     material = case.material
     given = {
-        "stretching": material.stretching,
-        "shearing": material.shearing,
-        "bending": material.bending,
+        "stretching": material["stretching"],
+        "shearing": material["shearing"],
+        "bending": material["bending"],
         "forces": case.forces,
         "anchors": case.anchors,
         "initial velocity": torch.zeros_like(case.positions),
@@ -80,7 +80,7 @@ def _parameters(case: Case) -> dict[str, Tensor]:
 def _motion(simulator: LinearizableSimulator, case: Case, parameters: dict[str, Tensor]) -> Tensor:
     """The last frames, (F, N, 3) [m]."""
     state = State.start(case.positions, parameters["initial velocity"], case.time_step, simulator.n_past)
-    material = Material(*(parameters[name] for name in ("stretching", "shearing", "bending")))
+    material = grid_material(*(parameters[name] for name in ("stretching", "shearing", "bending")))
     motion = rollout(simulator, state, material, parameters["forces"], parameters["anchors"], 1, throw=False)
     return motion.positions[0, -LAST_FRAMES:]
 

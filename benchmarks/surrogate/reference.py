@@ -62,7 +62,7 @@ def perturbed(case: Case) -> Case:
 def _key(case: Case) -> str:
     """Changes with anything that the motion depends on."""
     digest = hashlib.sha256()
-    material = (case.material.stretching, case.material.shearing, case.material.bending)
+    material = (case.material["stretching"], case.material["shearing"], case.material["bending"])
     for tensor in (case.positions, *material, case.forces, case.anchors, case.cloth.rest_lengths):
         digest.update(tensor.contiguous().numpy().tobytes())
     names = (type(case.integrator).__name__, case.time_step, case.cloth.held.tolist(), asdict(CONVERGED))

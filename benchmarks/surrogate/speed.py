@@ -16,6 +16,7 @@ from torch import Tensor
 from surrogate.cases import FIRST_SEED, Case, fits_case
 from surrogate.contenders import SOLVER, Build, solver
 from surrogate.saddles import Saddles
+from toile.physics.cloth import GRID_PARAMETERS
 from toile.physics.linearizable import LinearizableSimulator
 from toile.physics.material import Material
 from toile.physics.state import State
@@ -75,12 +76,7 @@ class _Batch:
         self.cases = cases
         self.forces = torch.cat([c.forces for c in cases])
         self.anchors = torch.cat([c.anchors for c in cases])
-        materials = [c.material for c in cases]
-        self.material = Material(
-            torch.cat([m.stretching for m in materials]),
-            torch.cat([m.shearing for m in materials]),
-            torch.cat([m.bending for m in materials]),
-        )
+        self.material = Material(GRID_PARAMETERS, torch.cat([c.material.values for c in cases]))
 
     def start(self, n_past: int) -> State:
         """All at rest."""

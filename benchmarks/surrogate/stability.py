@@ -14,7 +14,7 @@ from torch import Tensor
 
 from surrogate.cases import AREAL_DENSITY, BOX, EDGE, GRAVITY
 from surrogate.contenders import Build, solver
-from toile.physics.cloth import Cloth, grid_cloth
+from toile.physics.cloth import Cloth, grid_cloth, grid_material
 from toile.physics.implicit.assembly import Assembly
 from toile.physics.implicit.integrators import BackwardEuler
 from toile.physics.linearizable import LinearizableSimulator
@@ -66,7 +66,12 @@ class _Sheet:
         k = self.stiffness[chosen]
         x = self.positions.expand(len(k), -1, -1).contiguous()
         state = State.start(x, torch.zeros_like(x), self.time_step, n_past)
-        return state, Material(*k.unbind(-1)), self.forces.expand_as(x).contiguous(), x[:, self.cloth.held]
+        return (
+            state,
+            grid_material(*k.unbind(-1)),
+            self.forces.expand_as(x).contiguous(),
+            x[:, self.cloth.held],
+        )
 
 
 @torch.no_grad()

@@ -13,11 +13,10 @@ from toile.diagnosis.sensitivities import StepForces
 from toile.effects.base import Effect, Surroundings
 from toile.effects.setting import setting
 from toile.errors import InputError
-from toile.physics.cloth import grid_cloth
+from toile.physics.cloth import grid_cloth, grid_material
 from toile.physics.implicit.integrators import BDF2
 from toile.physics.implicit.newton import NewtonSettings
 from toile.physics.implicit.simulator import ImplicitSimulator
-from toile.physics.material import Material
 from toile.physics.rollout import rollout
 from toile.physics.state import State
 
@@ -46,7 +45,7 @@ def fall(*effects: Effect) -> torch.Tensor:
     start = torch.stack((i, torch.zeros_like(i), 1 + j), -1).reshape(1, -1, 3)
     step = float(given.frame_interval) / SUBSTEPS
     simulator = ImplicitSimulator(given.cloth, step, BDF2(), NewtonSettings(tolerance=1e-11), given.terms)
-    material = Material(*(torch.tensor([k], dtype=torch.float64) for k in (60.0, 3e-4, 2e-5)))
+    material = grid_material(*(torch.tensor([k], dtype=torch.float64) for k in (60.0, 3e-4, 2e-5)))
     state = State.start(start, torch.zeros_like(start), step, simulator.n_past)
     motion = rollout(simulator, state, material, given.forces[None], given.anchors[None], SUBSTEPS)
     return motion.positions[0, :, :, 1]

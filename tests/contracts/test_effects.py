@@ -30,12 +30,11 @@ from toile.effects.obstacles import Plane, Sphere, TriangleMesh
 from toile.effects.setting import active_terms, setting
 from toile.errors import InputError
 from toile.geometry.camera import Camera
-from toile.physics.cloth import grid_cloth
+from toile.physics.cloth import grid_cloth, grid_material
 from toile.physics.implicit.integrators import BDF2, BackwardEuler
 from toile.physics.implicit.linearized import LinearizedRollout, Perturbation
 from toile.physics.implicit.newton import NewtonSettings
 from toile.physics.implicit.simulator import ImplicitSimulator
-from toile.physics.material import Material
 from toile.physics.rollout import rollout
 from toile.physics.state import State
 from toile.physics.surrogate.simulator import SurrogateSimulator
@@ -103,7 +102,7 @@ def simulate(effects, simulator=ImplicitSimulator, integrator=None, newton=TIGHT
     given = setting(effects, AROUND, nominal, torch.tensor([0.0, 0.0, 0.5]).double())
     h = given.frame_interval / SUBSTEPS
     sim = simulator(given.cloth, h, integrator or BDF2(), newton, terms=given.terms)
-    material = Material(*(torch.tensor([s], dtype=torch.float64) for s in (60.0, 3e-4, 2e-5)))
+    material = grid_material(*(torch.tensor([s], dtype=torch.float64) for s in (60.0, 3e-4, 2e-5)))
     state = State.start(x, v, h, sim.n_past)
     motion = rollout(sim, state, material, given.forces[None], given.anchors[None], SUBSTEPS, **more)
     return sim, motion

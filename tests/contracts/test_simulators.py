@@ -5,12 +5,11 @@ import dataclasses
 import pytest
 import torch
 
-from toile.physics.cloth import grid_cloth
+from toile.physics.cloth import grid_cloth, grid_material
 from toile.physics.hybrid.simulator import HybridSimulator
 from toile.physics.implicit.integrators import BDF2, BackwardEuler
 from toile.physics.implicit.newton import NewtonSettings
 from toile.physics.implicit.simulator import ImplicitSimulator
-from toile.physics.material import Material
 from toile.physics.rollout import rollout
 from toile.physics.simulator import SimulationError, Simulator, StepResult, StepStatus
 from toile.physics.state import State
@@ -88,7 +87,7 @@ def scene(simulator, frames=4, seeds=(0,)):
         parts.append((x, velocities, stiffness[None], forces, anchors))
     x, velocities, stiffness, forces, anchors = (torch.cat(p) for p in zip(*parts, strict=True))
     state = State.start(x, velocities, simulator.time_step, simulator.n_past)
-    return state, Material(*stiffness.unbind(-1)), forces, anchors
+    return state, grid_material(*stiffness.unbind(-1)), forces, anchors
 
 
 def test_step_result_has_one_entry_per_scene(make):
@@ -190,9 +189,9 @@ def test_gradient_of_a_rollout_along_a_random_direction(make):
     inputs = {
         "x": state.positions,
         "v": state.velocities,
-        "Y": material.stretching,
-        "S": material.shearing,
-        "B": material.bending,
+        "Y": material["stretching"],
+        "S": material["shearing"],
+        "B": material["bending"],
         "f": forces,
         "a": anchors,
     }
@@ -206,7 +205,7 @@ def test_gradient_of_a_rollout_along_a_random_direction(make):
     def loss(given):
         start = State.start(given["x"], given["v"], simulator.time_step, simulator.n_past)
         motion = rollout(
-            simulator, start, Material(given["Y"], given["S"], given["B"]), given["f"], given["a"], 1
+            simulator, start, grid_material(given["Y"], given["S"], given["B"]), given["f"], given["a"], 1
         )
         return (weights * motion.positions).sum()
 
@@ -221,7 +220,7 @@ def test_gradient_of_a_rollout_along_a_random_direction(make):
     assert slope == pytest.approx(float((ahead - behind) / (2 * eps)), rel=tolerance)
 
 
-@pytest.mark.parametrize("name", ["positions", "past", "forces", "anchors", "stiffness", "guess"])
+@pytest.mark.parametrize("name", ["positions", "past", "forces", "anchors", "material", "guess"])
 def test_wrong_shapes_are_told(make, name):
     simulator = make()
     state, material, forces, anchors = scene(simulator)
@@ -234,8 +233,8 @@ def test_wrong_shapes_are_told(make, name):
         forces = forces[:, :1]  # would broadcast
     elif name == "anchors":
         anchors = anchors[:, :1]  # would broadcast
-    elif name == "stiffness":
-        material = dataclasses.replace(material, bending=torch.ones(2).double())
+    elif name == "material":
+        material = dataclasses.replace(material, values=material.values.repeat(2, 1))
     else:
         guess = state.positions[:, :3]
     with pytest.raises(ValueError, match=rf"{name}: expected .* got "):

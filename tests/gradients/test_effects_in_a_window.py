@@ -20,11 +20,10 @@ from toile.effects.gravity_tilt import GravityTilt
 from toile.effects.gusts import Gusts
 from toile.effects.internal_damping import InternalDamping
 from toile.effects.nonuniform_density import NonuniformDensity
-from toile.physics.cloth import Cloth
+from toile.physics.cloth import Cloth, grid_material
 from toile.physics.implicit.integrators import BDF2
 from toile.physics.implicit.newton import NewtonSettings
 from toile.physics.implicit.simulator import ImplicitSimulator
-from toile.physics.material import Material
 from toile.physics.rollout import rollout
 from toile.physics.state import State
 from toile.physics.step_terms import StepTerm
@@ -104,7 +103,7 @@ def moved(made: Reconstruction, unknowns: WindowUnknowns, start: State, z: Vecto
         motion = rollout(
             simulator,
             start,
-            Material(k[0], k[1], k[2]),
+            grid_material(k[0], k[1], k[2]),
             torch.from_numpy(given.forces)[None],
             torch.from_numpy(given.anchors)[None],
             made.frame_steps.window(unknowns.first, unknowns.last),

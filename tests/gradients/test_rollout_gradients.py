@@ -7,13 +7,12 @@ import pytest
 import torch
 from torch.autograd import gradcheck
 
-from toile.physics.cloth import grid_cloth
+from toile.physics.cloth import grid_cloth, grid_material
 from toile.physics.frame_steps import FrameSteps
 from toile.physics.implicit.integrators import BDF2, BackwardEuler
 from toile.physics.implicit.linearized import LinearizedRollout, Perturbation
 from toile.physics.implicit.newton import NewtonSettings
 from toile.physics.implicit.simulator import ImplicitSimulator
-from toile.physics.material import Material
 from toile.physics.rollout import rollout
 from toile.physics.state import State
 
@@ -63,7 +62,7 @@ def inputs(simulator):
 
 def simulate(simulator, given, substeps, **more):
     state = State.start(given["positions"], given["velocities"], simulator.time_step, simulator.n_past)
-    material = Material(given["stretching"], given["shearing"], given["bending"])
+    material = grid_material(given["stretching"], given["shearing"], given["bending"])
     return rollout(simulator, state, material, given["forces"], given["anchors"], substeps, **more)
 
 
@@ -222,7 +221,7 @@ def test_tangent_of_a_window_that_begins_in_the_middle_of_a_motion(steps_before)
 
     def window(by, **more):
         at = moved(given, change, by)
-        material = Material(at["stretching"], at["shearing"], at["bending"])
+        material = grid_material(at["stretching"], at["shearing"], at["bending"])
         return rollout(simulator, state, material, at["forces"], at["anchors"], 1, **more)
 
     tangent = LinearizedRollout(simulator, window(0.0, linearize=True)).tangent(pack(given, change))

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from toile.physics.cloth import grid_cloth
+from toile.physics.cloth import grid_cloth, grid_material
 from toile.physics.implicit.integrators import BDF2, BackwardEuler
 from toile.physics.implicit.newton import NewtonSettings
 from toile.physics.implicit.simulator import ImplicitSimulator
-from toile.physics.material import Material
 from toile.physics.rollout import rollout
 from toile.physics.state import State
 
@@ -21,7 +20,7 @@ def one(value):
     return torch.tensor([value], dtype=torch.float64)
 
 
-MATERIAL = Material(one(80.0), one(3e-4), one(1e-5))
+MATERIAL = grid_material(one(80.0), one(3e-4), one(1e-5))
 
 
 def flat_cloth():

@@ -4,14 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from toile.physics.cloth import grid_cloth
-from toile.physics.energies.bending import bending_energy
-from toile.physics.energies.shearing import shearing_energy
-from toile.physics.energies.stretching import stretching_energy
+from toile.physics.cloth import grid_cloth, grid_material
 from toile.physics.implicit.integrators import BDF2, BackwardEuler
 from toile.physics.implicit.newton import NewtonSettings
 from toile.physics.implicit.simulator import ImplicitSimulator
-from toile.physics.material import Material
 from toile.physics.rollout import rollout
 from toile.physics.simulator import SimulationError, StepStatus
 from toile.physics.state import State
@@ -23,7 +19,7 @@ def one(value):
     return torch.tensor([value], dtype=torch.float64)
 
 
-MATERIAL = Material(one(60.0), one(3e-4), one(3e-5))
+MATERIAL = grid_material(one(60.0), one(3e-4), one(3e-5))
 
 
 def make(grid, size, held, bend=0.0):
@@ -57,12 +53,7 @@ def run(cloth, x, h, integrator, n_frames, forces=None, anchors=None, substeps=1
 
 
 def internal_energy(cloth, x, material=MATERIAL):
-    s = cloth.stencils
-    return (
-        stretching_energy(x, s.edges, cloth.rest_lengths, material.stretching[:, None])
-        + shearing_energy(x, s.corners, cloth.rest_corner_angles, material.shearing[:, None])
-        + bending_energy(x, s.straights, material.bending[:, None])
-    )
+    return cloth.energies.energy(x, cloth.energies.coefficients(material.values))
 
 
 @pytest.mark.parametrize(("grid", "held"), [((9, 2), (0, 1)), ((7, 4), tuple(range(4)))])
@@ -95,7 +86,7 @@ def test_half_the_stiffness_gives_twice_the_stretch():
     cloth, x = make((9, 2), (0.4, 0.05), (0, 1))
     ends = []
     for y in (60.0, 30.0):
-        material = Material(one(y), one(3e-4), one(3e-5))
+        material = grid_material(one(y), one(3e-4), one(3e-5))
         ends.append(run(cloth, x, 1.0, BackwardEuler(), 60, material=material).positions[0, -1, -1, 1] - 0.4)
     assert float(ends[1] / ends[0]) == pytest.approx(2.0, rel=1e-5)
 
@@ -108,7 +99,7 @@ def swing(integrator, n):
     key = (type(integrator).__name__, n)
     if key not in SWING:
         cloth, x = make((5, 4), (0.2, 0.15), (0, 3))
-        material = Material(one(5.0), one(3e-4), one(3e-4))
+        material = grid_material(one(5.0), one(3e-4), one(3e-4))
         phase = 2 * torch.pi * torch.arange(1, n + 1, dtype=torch.float64) / n
         forces = gravity(cloth, n, (0.0, 0.3, 1.4)) * (1 - torch.cos(phase))[:, None, None]
         SWING[key] = run(cloth, x, 0.16 / n, integrator, n + 1, forces, material=material).positions[0, -1]
@@ -188,7 +179,7 @@ def test_nan_is_never_silent(where):
     elif where == "anchor":
         anchors[0, 1, 0, 0] = torch.nan
     else:
-        material = Material(one(torch.nan), one(3e-4), one(3e-5))
+        material = grid_material(one(torch.nan), one(3e-4), one(3e-5))
     with pytest.raises(SimulationError, match="not finite"):
         run(cloth, x, 1 / 60, BDF2(), 3, forces, anchors, material=material)
     motion = run(cloth, x, 1 / 60, BDF2(), 3, forces, anchors, material=material, throw=False)
@@ -234,7 +225,7 @@ def test_buckling_under_moving_corners_converges():
     n = 8
     anchors = still(x, cloth, n).clone()
     anchors[:, :, 0, 0] += 0.008 * torch.arange(n, dtype=torch.float64)
-    material = Material(one(100.0), one(1e-4), one(3e-6))
+    material = grid_material(one(100.0), one(1e-4), one(3e-6))
     motion = run(cloth, x, 1 / 30, BDF2(), n, anchors=anchors, material=material, settings=NewtonSettings())
     assert motion.positions[0, -1, :, 2].std() > 5e-3
     assert all(s.residual[0] <= 1e-6 * float(cloth.masses.max()) * G for s in motion.steps)

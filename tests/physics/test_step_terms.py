@@ -15,10 +15,7 @@ from toile.effects.obstacles import Plane
 from toile.effects.rest_curvature import RestCurvature
 from toile.effects.strain_stiffening import StrainStiffening
 from toile.geometry.mesh import grid_faces, vertex_normals
-from toile.physics.cloth import grid_cloth
-from toile.physics.energies.bending import bending_energy
-from toile.physics.energies.shearing import shearing_energy
-from toile.physics.energies.stretching import stretching_energy
+from toile.physics.cloth import grid_cloth, grid_material
 from toile.physics.hybrid.simulator import HybridSimulator
 from toile.physics.implicit.integrators import BDF2, BackwardEuler
 from toile.physics.implicit.newton import NewtonSettings
@@ -36,7 +33,7 @@ def one(value):
     return torch.tensor([value], dtype=torch.float64)
 
 
-MATERIAL = Material(one(80.0), one(3e-4), one(1e-5))
+MATERIAL = grid_material(one(80.0), one(3e-4), one(1e-5))
 
 
 def vector(*values):
@@ -63,10 +60,7 @@ def move(cloth, x, v, h, n, acceleration, terms, integrator=None, material=MATER
 
 def energy(cloth, x, v, material=MATERIAL):
     """Kinetic and elastic energy of one scene."""
-    s = cloth.stencils
-    elastic = stretching_energy(x, s.edges, cloth.rest_lengths, material.stretching)
-    elastic = elastic + shearing_energy(x, s.corners, cloth.rest_corner_angles, material.shearing)
-    elastic = elastic + bending_energy(x, s.straights, material.bending)
+    elastic = cloth.energies.energy(x, cloth.energies.coefficients(material.values[0]))
     return float(elastic + 0.5 * (cloth.masses[:, None] * v.square()).sum())
 
 
@@ -182,7 +176,7 @@ def test_strip_settles_to_its_natural_curvature(axis, sign):
     index = torch.arange(3 * n).reshape(grid)
     held = (index[:2] if axis == 0 else index[:, :2]).reshape(-1)
     cloth = grid_cloth(grid, size, 0.2, tuple(held.tolist()))
-    material = Material(one(80.0), one(3e-4), one(3e-4))
+    material = grid_material(one(80.0), one(3e-4), one(3e-4))
     x = flat(grid, size)
     terms = [RestCurvature({f"axis_{axis}": kappa}), AirDrag({"linear": 4.0})]
     end = move(cloth, x, 0 * x, 0.02, 400, vector(0, 0, 0), terms, material=material)[0, -1]
@@ -249,7 +243,7 @@ def test_strip_under_tension_shows_anisotropy_and_stiffening(axis):
     force = torch.zeros_like(x[0])
     pull = 0.3
     force[pulled, 1 - axis] = pull
-    soft = Material(one(80.0), one(1e-12), one(1e-5))
+    soft = grid_material(one(80.0), one(1e-12), one(1e-5))
 
     def strain(term):
         forces = force / cloth.masses[:, None]
@@ -304,7 +298,7 @@ def test_gradients_by_all_inputs_with_terms(integrator):
 
     def loss(at):
         state = State.start(at["x"], at["v"], h, simulator.n_past)
-        motion = rollout(simulator, state, Material(at["Y"], at["S"], at["B"]), at["f"], at["a"], 1)
+        motion = rollout(simulator, state, grid_material(at["Y"], at["S"], at["B"]), at["f"], at["a"], 1)
         return (weights * motion.positions).sum()
 
     leaves = {k: v.clone().requires_grad_() for k, v in given.items()}
@@ -320,12 +314,10 @@ def test_batch_with_terms_is_its_scenes_one_by_one():
     generator = torch.Generator().manual_seed(3)
     x = flat(GRID, SIZE) + 0.002 * torch.randn(2, 30, 3, generator=generator, dtype=torch.float64)
     v = 0.2 * torch.randn(2, 30, 3, generator=generator, dtype=torch.float64)
-    both = Material(
-        *(torch.cat((k, 2 * k)) for k in (MATERIAL.stretching, MATERIAL.shearing, MATERIAL.bending))
-    )
+    both = Material(MATERIAL.parameters, torch.cat((MATERIAL.values, 2 * MATERIAL.values)))
 
     def run(pick):
-        material = Material(both.stretching[pick], both.shearing[pick], both.bending[pick])
+        material = Material(both.parameters, both.values[pick])
         given = x[pick].clone().requires_grad_()
         g = vector(0, 9.81, 0)
         motion = move(

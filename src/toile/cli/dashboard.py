@@ -7,6 +7,7 @@ from pathlib import Path
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
+from toile.physics.cloth import GRID_PARAMETERS
 from toile.reports.dashboard import ASKED_FOR, Choice, write_dashboard
 from toile.reports.run_folder import RunFolder, read_metrics
 from toile.reports.run_settings import WITHOUT_INFLUENCE
@@ -45,7 +46,7 @@ def compared_choices(cfg: DictConfig) -> dict[str, Choice]:
     choices[ASKED_FOR] = ", ".join(sorted(asked)) or "nothing"
     choices["substeps"] = "as needed" if cfg.simulator.substeps is None else str(cfg.simulator.substeps)
     choices["seed"] = str(cfg.seed)  # a name, not a quantity
-    for name in ("stretching", "shearing", "bending"):
+    for name in GRID_PARAMETERS.names:
         choices[f"start: {name}"] = float(cfg.parameters[name])
     return choices
 

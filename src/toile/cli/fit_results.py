@@ -16,9 +16,6 @@ from toile.cli.machine import machine
 from toile.evaluation.evaluate import EvaluationResult
 from toile.evaluation.out_of_balance import OutOfBalanceForce, out_of_balance_force
 from toile.learning.fit.module import FitModule
-from toile.physics.energies.bending import bending_energy
-from toile.physics.energies.shearing import shearing_energy
-from toile.physics.energies.stretching import stretching_energy
 from toile.physics.implicit.terms import term_forces
 from toile.physics.simulator import SimulationError
 from toile.physics.step_terms import ElementTerm, StepContext
@@ -83,17 +80,13 @@ def residual_force(reconstruction: Reconstruction, trajectory: Tensor) -> OutOfB
     step = interval / reconstruction.frame_steps.per_frame
     regular = torch.arange(scene.n_frames, dtype=torch.float64) * interval
     times = regular if scene.times is None else reconstruction.frame_steps.times(step)
-    material, s = reconstruction.parameters.material(), cloth.stencils
+    material = reconstruction.parameters.material()
     elastic = not any(isinstance(term, ElementTerm) for term in given.terms)
 
     def internal_forces(positions: Tensor) -> Tensor:
         with torch.enable_grad():
             x = positions.reshape(len(positions), -1, 3).clone().requires_grad_()
-            energy = (
-                stretching_energy(x, s.edges, cloth.rest_lengths, material.stretching[..., None])
-                + shearing_energy(x, s.corners, cloth.rest_corner_angles, material.shearing[..., None])
-                + bending_energy(x, s.straights, material.bending[..., None])
-            )
+            energy = cloth.energies.energy(x, cloth.energies.coefficients(material.values))
             return -torch.autograd.grad(energy.sum(), x)[0].reshape(positions.shape)
 
     def with_terms(positions: Tensor) -> Tensor:
@@ -132,9 +125,8 @@ def fitted_parameters(reconstruction: Reconstruction) -> dict[str, npt.ArrayLike
     p, grid = reconstruction.parameters, reconstruction.scene.grid
     material = p.material()
     result: dict[str, npt.ArrayLike] = {
-        "stretching [N/m]": material.stretching.item(),
-        "shearing [N·m]": material.shearing.item(),
-        "bending [N·m]": material.bending.item(),
+        parameter.label: value
+        for parameter, value in zip(material.parameters, material.values[0].tolist(), strict=True)
     }
     for name in p.STIFFNESSES:
         result[f"{name} [network units]"] = p.get_parameter(name).item()

@@ -734,11 +734,8 @@ def _start_stiffness(reconstruction: Reconstruction, stiffness: tuple[float, flo
     """Track with the same fabric whatever the scene's grid."""
     p = reconstruction.parameters
     cell = p.units.length**2
-    units = (p.units.stretching, p.units.energy, p.units.energy)
-    values = (stiffness[0], stiffness[1] * cell, stiffness[2])
-    with torch.no_grad():
-        for name, value, unit in zip(p.STIFFNESSES, values, units, strict=True):
-            p.get_parameter(name).fill_(value / unit)
+    values = torch.tensor([stiffness[0], stiffness[1] * cell, stiffness[2]], dtype=torch.float64)
+    p.set_stiffness((values / p.stiffness_units).tolist())
 
 
 def _write_arrays(path: Path, arrays: dict[str, Array]) -> None:

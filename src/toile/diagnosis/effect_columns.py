@@ -27,11 +27,8 @@ from toile.effects.base import (
 )
 from toile.geometry.camera import Camera
 from toile.physics.cloth import Cloth
-from toile.physics.energies.bending import bending_energy
-from toile.physics.energies.shearing import shearing_energy
-from toile.physics.energies.stretching import stretching_energy
 from toile.physics.material import Material
-from toile.physics.step_terms import Elements, ElementTerm, StepContext
+from toile.physics.step_terms import ElementTerm, StepContext
 
 Array = NDArray[np.float64]
 
@@ -100,10 +97,12 @@ def force_columns(effect: Effect, instant: Instant, around: Surroundings) -> Arr
                 energy = acting.energy(x, now).sum()
             else:
                 assert isinstance(acting, ElementEffect)
-                changed = acting.elements(plain_elements(cloth), now)
+                changed = acting.elements(cloth.energies.elements(), now)
                 for term in instant.after:
                     changed = term.elements(changed, now)
-                energy = internal_energy(x, cloth, now.material, changed)
+                energy = cloth.energies.energy(
+                    x, cloth.energies.coefficients(now.material.values[0]), changed
+                )
             return -torch.autograd.grad(energy, x, create_graph=True)[0]
 
         return derivatives(force, effect)
@@ -162,36 +161,12 @@ def apparent_columns(effect: CameraEffect, positions: Array, template: Array, ca
     return out
 
 
-def plain_elements(cloth: Cloth) -> Elements:
-    """Elements without any effect."""
-    s = cloth.stencils
-    one = torch.ones(max(len(s.edges), len(s.corners), len(s.straights)), dtype=torch.float64)
-    return Elements(
-        one[: len(s.edges)],
-        one[: len(s.corners)],
-        one[: len(s.straights)],
-        cloth.rest_lengths,
-        cloth.rest_corner_angles,
-        torch.zeros(len(s.straights), dtype=torch.float64),
-    )
-
-
-def internal_energy(x: Tensor, cloth: Cloth, material: Material, elements: Elements) -> Tensor:
-    """Internal energy () [J] with changed elements."""
-    s = cloth.stencils
-    return (
-        stretching_energy(x, s.edges, elements.rest_lengths, material.stretching * elements.stretching)
-        + shearing_energy(x, s.corners, elements.rest_corner_angles, material.shearing * elements.shearing)
-        + bending_energy(x, s.straights, material.bending * elements.bending, elements.rest_straight_angles)
-    )
-
-
 def _context(instant: Instant, cloth: Cloth) -> StepContext:
     step = instant.step
     k = torch.from_numpy(instant.stiffness)
     return StepContext(
         cloth=cloth,
-        material=Material(k[0:1], k[1:2], k[2:3]),
+        material=Material(cloth.energies.parameters, k[None]),
         positions=torch.from_numpy(step.before),
         velocities=torch.from_numpy(step.velocities),
         time=instant.time,

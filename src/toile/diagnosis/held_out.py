@@ -63,11 +63,11 @@ def predict(
     simulator, _, forces, anchors = changed_simulation(
         shooting, effects, around, torch.from_numpy(wind if extra is None else wind + extra)
     )
-    k = torch.from_numpy(base.stiffness)[:, None]
+    k = torch.from_numpy(base.stiffness)[None]
     motion = rollout(
         simulator,
         start,
-        Material(k[0], k[1], k[2]),
+        Material(simulator.cloth.energies.parameters, k),
         forces[None, first:last],
         anchors[None, first : last + 1],
         shooting.substeps,

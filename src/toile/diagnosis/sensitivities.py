@@ -19,7 +19,7 @@ from scipy.linalg import lapack
 
 from toile.diagnosis.past_forces import PastForces
 from toile.limits import Fraction
-from toile.physics.implicit.banded import BandedCholesky
+from toile.physics.implicit.linear_solvers.banded import BandedCholesky, BandedSolver
 from toile.physics.implicit.newton import potential_hessian
 from toile.physics.implicit.terms import SceneTerms
 from toile.physics.linearizable import LinearizableSimulator
@@ -58,7 +58,7 @@ class StepForces:
         positions: at its end (N, 3) [m].
         before: at its begin (N, 3) [m].
         velocities: at its begin (N, 3) [m/s].
-        unit_gradients: of e_Y, e_S, e_B at its end (3, N, 3).
+        unit_gradients: of the unit energies at its end (C, N, 3).
         imbalance: inertia (x - x̂), (N, 3) [N].
     """
 
@@ -171,6 +171,8 @@ class KnownMotion:
         self._before = steps
         terms, grid = simulator.terms, simulator.cloth.grid
         self._scene = SceneTerms()
+        # The dense blocks that many right-hand sides are solved with are made of a band.
+        self._solver = BandedSolver(simulator.assembly.pattern, simulator.assembly.held)
         self._past_forces = PastForces(terms, grid) if terms and grid is not None else None
         if terms and grid is None:
             raise ValueError("tangents with step terms: expected a cloth on a grid")
@@ -183,10 +185,12 @@ class KnownMotion:
     def context(self, n: int) -> StepContext:
         """What was known when sub-step n began."""
         simulator = self.simulator
-        Y, S, B = torch.from_numpy(np.asarray(self.stiffness, np.float64)).split(1)
         return StepContext(
             cloth=simulator.cloth,
-            material=Material(Y, S, B),
+            material=Material(
+                simulator.cloth.energies.parameters,
+                torch.from_numpy(np.asarray(self.stiffness, np.float64))[None],
+            ),
             positions=torch.from_numpy(self.positions[n]),
             velocities=torch.from_numpy(self._velocity(n)),
             time=(self._before + n + 1) * simulator.time_step,
@@ -252,7 +256,7 @@ class KnownMotion:
         """
         assembly = self.simulator.assembly
         held = assembly.held
-        order = np.argsort(assembly._to_band)
+        order = np.argsort(self._solver.order)
         x0, v0 = (a.reshape(len(a), -1).T.astype(np.float32) for a in (start, velocities))
         zero = np.zeros_like(x0)
         h = self.simulator.time_step
@@ -293,20 +297,18 @@ class KnownMotion:
     def _factor(self, x: Array, inertia: Array) -> tuple[BlockFactor, Array]:
         assembly = self.simulator.assembly
         extra = self._scene.vertices
-        exact, coupling = potential_hessian(assembly, x, self.stiffness, extra, convex=False)
+        exact = potential_hessian(assembly, x, self.stiffness, extra, convex=False)
         convex: Array | None = None
         for share in self.settings.convex:
-            band = exact.copy()
+            blocks = exact
             if share > 0:
                 if convex is None:
-                    convex, _ = potential_hessian(assembly, x, self.stiffness, extra, convex=True)
-                band = (1 - share) * exact + share * convex
-            slower = band.copy()
-            assembly.add_diagonal(slower, (1 - 1 / self.settings.fastest) * inertia)
-            if share == self.settings.convex[-1] or BandedCholesky.factorise(slower) is not None:
+                    convex = potential_hessian(assembly, x, self.stiffness, extra, convex=True)
+                blocks = (1 - share) * exact + share * convex
+            slower = (1 - 1 / self.settings.fastest) * inertia
+            if share == self.settings.convex[-1] or self._solver.factorise(blocks, slower) is not None:
                 break
-        assembly.add_diagonal(band, inertia)
-        factor = BandedCholesky.factorise(band)
+        factor = self._solver.factorise(blocks, inertia)
         if factor is None:
             raise FloatingPointError("the Hessian is not positive definite without its indefinite parts")
-        return BlockFactor(factor), coupling
+        return BlockFactor(factor.cholesky), assembly.coupling(exact)

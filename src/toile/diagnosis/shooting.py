@@ -318,7 +318,7 @@ class Shooting:
         motion = rollout(
             simulator,
             state,
-            Material(k[0], k[1], k[2]),
+            Material(simulator.cloth.energies.parameters, k.T),
             forces[None],
             held[None],
             self.substeps,

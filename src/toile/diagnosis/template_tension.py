@@ -8,16 +8,15 @@ the threads' stiffness is: what is hung on two corners of a net is nearly static
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from toile.physics.cloth import Cloth
+from toile.physics.elements import Elements
 from toile.physics.implicit.assembly import Assembly
-from toile.physics.step_terms import Elements, ElementTerm, StepContext
+from toile.physics.step_terms import ElementTerm, StepContext
 
 Array = NDArray[np.float64]
 
@@ -39,8 +38,8 @@ class TemplateTension(ElementTerm):
 
     def elements(self, elements: Elements, now: StepContext) -> Elements:
         """See ElementTerm."""
-        stiffness = now.material.stretching.detach() * elements.stretching
-        return replace(elements, rest_lengths=elements.rest_lengths - self.tensions / stiffness)
+        stiffness = now.material["stretching"].detach() * elements.factors["stretching"]
+        return elements.with_rest(stretching=elements.rest["stretching"] - self.tensions / stiffness)
 
     def force(self, positions: Array, cloth: Cloth) -> Array:
         """Force of the tension alone (N, 3) [N]."""
@@ -69,9 +68,7 @@ def template_tension(
             wild one.
     """
     masses = cloth.masses.numpy()
-    assembly = Assembly(
-        cloth.stencils, cloth.rest_lengths.numpy(), cloth.rest_corner_angles.numpy(), cloth.held.numpy()
-    )
+    assembly = Assembly.of(cloth)
     free = np.ones(len(masses), bool)
     free[cloth.held.numpy()] = False
     edges = cloth.stencils.edges.numpy()

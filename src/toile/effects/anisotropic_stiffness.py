@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import ClassVar
 
 import torch
@@ -11,7 +10,8 @@ from torch import Tensor
 from toile.effects.base import ElementEffect, Parameter, Stage
 from toile.errors import InputError
 from toile.physics.cloth import Cloth
-from toile.physics.step_terms import Elements, StepContext
+from toile.physics.elements import Elements
+from toile.physics.step_terms import StepContext
 
 
 class AnisotropicStiffness(ElementEffect):
@@ -37,10 +37,9 @@ class AnisotropicStiffness(ElementEffect):
             return elements
         stretching, bending = self.values / 2
         stencils = now.cloth.stencils
-        return replace(
-            elements,
-            stretching=elements.stretching * torch.exp(stretching * _sign(stencils.edges, now.cloth)),
-            bending=elements.bending * torch.exp(bending * _sign(stencils.straights, now.cloth)),
+        return elements.scaled(
+            stretching=torch.exp(stretching * _sign(stencils.edges, now.cloth)),
+            bending=torch.exp(bending * _sign(stencils.straights, now.cloth)),
         )
 
 

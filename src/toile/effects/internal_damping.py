@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import ClassVar
 
 from torch import Tensor
 
 from toile.effects.base import ElementEffect, Parameter, Stage
+from toile.physics.elements import Elements
 from toile.physics.energies.angle import angle_between
-from toile.physics.step_terms import Elements, StepContext
+from toile.physics.step_terms import StepContext
 
 
 class InternalDamping(ElementEffect):
@@ -42,14 +42,12 @@ class InternalDamping(ElementEffect):
         edges, (i, k, j) = x[stencils.edges], x[stencils.corners].unbind(1)
         before, middle, after = x[stencils.straights].unbind(1)
         bend = angle_between(middle - before, after - middle)
-        return replace(
-            elements,
-            stretching=elements.stretching * (1 + in_plane),
-            shearing=elements.shearing * (1 + in_plane),
-            bending=elements.bending * (1 + bending),
-            rest_lengths=_shifted(elements.rest_lengths, (edges[:, 1] - edges[:, 0]).norm(dim=-1), in_plane),
-            rest_corner_angles=_shifted(elements.rest_corner_angles, angle_between(i - k, j - k), in_plane),
-            rest_straight_angles=_shifted(elements.rest_straight_angles, bend * _is_bent(bend), bending),
+        return elements.scaled(stretching=1 + in_plane, shearing=1 + in_plane, bending=1 + bending).with_rest(
+            stretching=_shifted(
+                elements.rest["stretching"], (edges[:, 1] - edges[:, 0]).norm(dim=-1), in_plane
+            ),
+            shearing=_shifted(elements.rest["shearing"], angle_between(i - k, j - k), in_plane),
+            bending=_shifted(elements.rest["bending"], bend * _is_bent(bend), bending),
         )
 
 

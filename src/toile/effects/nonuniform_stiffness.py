@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import ClassVar
 
 import torch
 
 from toile.effects.base import ElementEffect, Parameter, Stage
 from toile.effects.modes import cosine_modes, mode_parameters
-from toile.physics.step_terms import Elements, StepContext
+from toile.physics.elements import Elements
+from toile.physics.step_terms import StepContext
 
 
 class NonuniformStiffness(ElementEffect):
@@ -33,9 +33,4 @@ class NonuniformStiffness(ElementEffect):
             torch.exp(logarithm[index].mean(-1))
             for index in (stencils.edges, stencils.corners, stencils.straights)
         )
-        return replace(
-            elements,
-            stretching=elements.stretching * stretching,
-            shearing=elements.shearing * shearing,
-            bending=elements.bending * bending,
-        )
+        return elements.scaled(stretching=stretching, shearing=shearing, bending=bending)

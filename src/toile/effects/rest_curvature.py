@@ -43,7 +43,7 @@ class RestCurvature(VertexEffect):
 
     def _forces(self, now: StepContext) -> Tensor:
         """B κ L Σ ∂θ/∂x (N, 3) [N] where the step begins."""
-        return now.material.bending * _angle_gradients(now, _curvatures(self.values, now.cloth))
+        return now.material["bending"] * _angle_gradients(now, _curvatures(self.values, now.cloth))
 
 
 def _curvatures(values: Tensor, cloth: Cloth) -> Tensor:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import ClassVar
 
 from toile.effects.base import ElementEffect, Parameter, Stage
+from toile.physics.elements import Elements
 from toile.physics.energies.angle import angle_between
-from toile.physics.step_terms import Elements, StepContext
+from toile.physics.step_terms import StepContext
 
 
 class StrainStiffening(ElementEffect):
@@ -37,8 +37,6 @@ class StrainStiffening(ElementEffect):
         edges, (i, k, j) = x[cloth.stencils.edges], x[cloth.stencils.corners].unbind(1)
         strain = (edges[:, 1] - edges[:, 0]).norm(dim=-1) / cloth.rest_lengths - 1
         angle = angle_between(i - k, j - k) - cloth.rest_corner_angles
-        return replace(
-            elements,
-            stretching=elements.stretching * (1 + stretching * strain.square()),
-            shearing=elements.shearing * (1 + shearing * angle.square()),
+        return elements.scaled(
+            stretching=(1 + stretching * strain.square()), shearing=(1 + shearing * angle.square())
         )

@@ -45,7 +45,8 @@ def refined_vertices(vertices: tuple[int, ...], grid: tuple[int, int], factor: i
 
 def refined_material(material: Material, factor: int) -> Material:
     """Stiffnesses with which the refined grid is the same sheet; see the table of this module."""
-    return Material(material.stretching, material.shearing / factor**2, material.bending)
+    values = material.parameters.unpack(material.values.unbind(1))
+    return Material.of(material.parameters, {**values, "shearing": values["shearing"] / factor**2})
 
 
 def refine(values: Tensor, factor: int) -> Tensor:

@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Annotated
 
-import torch
-
 from toile.errors import InputError
 from toile.generation.motion import HeldMotion, Still
 from toile.limits import Count, CountOrZero, Finite, NonNegative, Positive, Seed, TwoOrMore, Unit
+from toile.physics.cloth import GRID_PARAMETERS
 from toile.physics.implicit.newton import NewtonSettings
 from toile.physics.material import Material
 from toile.physics.units import NetworkUnits
@@ -87,7 +86,7 @@ class GeneratorSettings:
         for name in (*positive, "image_scale", "settled", "newton_tolerance"):
             if not getattr(self, name) > 0:
                 raise wrong_setting(name, "a number above 0", getattr(self, name))
-        for name in ("stretching", "shearing", "bending", "blur", "noise"):
+        for name in (*GRID_PARAMETERS.names, "blur", "noise"):
             if not getattr(self, name) >= 0:
                 raise wrong_setting(name, "a number of at least 0", getattr(self, name))
         if min(self.grid) < 3 or min(self.cloth_size) <= 0:
@@ -112,12 +111,9 @@ class GeneratorSettings:
     def material(self, cloth_size: tuple[float, float]) -> Material:
         """True stiffnesses (1,) on the fit's grid [N/m, N·m, N·m]."""
         units = self.units(cloth_size)
-        values = (
-            self.stretching * units.stretching,
-            self.shearing * units.energy,
-            self.bending * units.energy,
+        return Material.of(
+            GRID_PARAMETERS, {p.name: getattr(self, p.name) * units.of(p.unit) for p in GRID_PARAMETERS}
         )
-        return Material(*(torch.tensor([value], dtype=torch.float64) for value in values))
 
 
 def wrong_setting(name: str, expected: str, got: object) -> InputError:

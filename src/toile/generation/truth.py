@@ -102,8 +102,4 @@ def read_truth(folder: Path | str) -> dict[str, Any]:
 
 def _si(material: Material) -> dict[str, float]:
     """Stiffnesses of a material of one scene."""
-    return {
-        "stretching": float(material.stretching),
-        "shearing": float(material.shearing),
-        "bending": float(material.bending),
-    }
+    return material.parameters.unpack(material.values[0].tolist())

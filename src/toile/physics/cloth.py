@@ -3,11 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
 
+from toile.geometry.mesh import face_normals
+from toile.physics.energies.bending import Bending
+from toile.physics.energies.dihedral_bending import DihedralBending, rest_hinges
+from toile.physics.energies.membrane import Membrane, NeoHookean, rest_triangles
+from toile.physics.energies.shearing import Shearing
+from toile.physics.energies.stretching import Stretching
+from toile.physics.energies.term import InternalEnergy
+from toile.physics.material import Material
+from toile.physics.parameter_vector import ParameterVector
 from toile.physics.stencils import Stencils, grid_stencils
+from toile.physics.topology import Topology
 
 
 @dataclass(frozen=True)
@@ -15,37 +26,71 @@ class Cloth:
     """A piece of cloth with N vertices, apart from its stiffness and its motion.
 
     Attributes:
-        stencils: which vertices each element couples.
-        rest_lengths: (E,) float64 [m].
-        rest_corner_angles: (C,) float64 [rad].
+        topology: faces and neighbours.
+        energies: what resists its deformation, element by element.
         masses: (N,) float64 [kg].
         held: (n_held,) int64, vertices whose motion is prescribed.
-        grid: (H, W) if the vertices form a grid, else None.
     """
 
-    stencils: Stencils
-    rest_lengths: Tensor
-    rest_corner_angles: Tensor
+    topology: Topology
+    energies: InternalEnergy
     masses: Tensor
     held: Tensor
-    grid: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
-        n = self.stencils.n_vertices
-        for name, got, expected in (
-            ("rest_lengths", self.rest_lengths.shape, (len(self.stencils.edges),)),
-            ("rest_corner_angles", self.rest_corner_angles.shape, (len(self.stencils.corners),)),
-            ("masses", self.masses.shape, (n,)),
-        ):
-            if tuple(got) != expected:
-                raise ValueError(f"{name}: expected shape {expected}, got {tuple(got)}")
+        n = self.topology.n_vertices
+        if tuple(self.masses.shape) != (n,):
+            raise ValueError(f"masses: expected shape {(n,)}, got {tuple(self.masses.shape)}")
         if self.held.numel() and (int(self.held.min()) < 0 or int(self.held.max()) >= n):
             raise ValueError(f"held: expected vertex indices in [0, {n}), got {self.held.tolist()}")
+        for term in self.energies:
+            index = term.stencil
+            if index.numel() and (int(index.min()) < 0 or int(index.max()) >= n):
+                raise ValueError(
+                    f"{term.name}: expected vertex indices in [0, {n}), "
+                    f"got [{int(index.min())}, {int(index.max())}]"
+                )
 
     @property
     def n_vertices(self) -> int:
         """Number of vertices N."""
-        return self.stencils.n_vertices
+        return self.topology.n_vertices
+
+    @property
+    def grid(self) -> tuple[int, int] | None:
+        """(H, W) if the vertices form a grid, else None."""
+        return self.topology.grid
+
+    @cached_property
+    def stencils(self) -> Stencils:
+        """Elements of a cloth with warp and weft."""
+        of = self.energies.named
+        return Stencils(
+            self.n_vertices, of("stretching").stencil, of("shearing").stencil, of("bending").stencil
+        )
+
+    @property
+    def rest_lengths(self) -> Tensor:
+        """Of the edges along warp and weft, (E,) [m]."""
+        return self.energies.named("stretching").rest
+
+    @property
+    def rest_corner_angles(self) -> Tensor:
+        """Between warp and weft, (C,) [rad]."""
+        return self.energies.named("shearing").rest
+
+    def material(self, **values: Tensor | float) -> Material:
+        """Material of this cloth from values by name, numbers or tensors (B,)."""
+        return Material.of(self.energies.parameters, values)
+
+
+GRID_PARAMETERS = ParameterVector((*Stretching.parameters, *Shearing.parameters, *Bending.parameters))
+"""What the internal energy of a grid depends on: Y, S and B."""
+
+
+def grid_material(stretching: Tensor | float, shearing: Tensor | float, bending: Tensor | float) -> Material:
+    """Material of a grid from Y [N/m], S and B [N·m], numbers or tensors (batch,)."""
+    return Material.of(GRID_PARAMETERS, {"stretching": stretching, "shearing": shearing, "bending": bending})
 
 
 def cell_shares(height: int, width: int) -> Tensor:
@@ -105,11 +150,59 @@ def grid_cloth(
     stencils = grid_stencils(*grid)
     if rest_lengths is None:
         rest_lengths = uniform_rest_lengths(stencils, grid, cloth_size)
+    right = torch.full((len(stencils.corners),), torch.pi / 2, dtype=torch.float64)
+    straight = torch.zeros(len(stencils.straights), dtype=torch.float64)
     return Cloth(
-        stencils=stencils,
-        rest_lengths=rest_lengths.to(torch.float64),
-        rest_corner_angles=torch.full((len(stencils.corners),), torch.pi / 2, dtype=torch.float64),
+        topology=Topology.of_grid(*grid),
+        energies=InternalEnergy(
+            (
+                Stretching(stencils.edges, rest_lengths.to(torch.float64)),
+                Shearing(stencils.corners, right),
+                Bending(stencils.straights, straight),
+            )
+        ),
         masses=grid_masses(*grid, cloth_size, areal_density),
         held=torch.tensor(held, dtype=torch.int64),
-        grid=grid,
+    )
+
+
+def mesh_masses(positions: Tensor, faces: Tensor, areal_density: float) -> Tensor:
+    """Vertex masses (N,) [kg] of a triangle mesh: ρ times a third of every face around a vertex."""
+    areas = 0.5 * face_normals(positions.to(torch.float64), faces).norm(dim=-1)
+    masses = torch.zeros(len(positions), dtype=torch.float64)
+    for corner in range(3):
+        masses = masses.index_add(0, faces[:, corner], areas * (areal_density / 3))
+    return masses
+
+
+def mesh_cloth(
+    rest: Tensor,
+    faces: Tensor,
+    areal_density: float,
+    held: tuple[int, ...],
+    membrane: type[Membrane] = NeoHookean,
+    *,
+    flat: bool = True,
+) -> Cloth:
+    """A cloth on any manifold triangle mesh: a membrane and bending at the inner edges.
+
+    Args:
+        rest: positions at rest (N, 3) [m].
+        faces: (T, 3), all turned to the same side.
+        areal_density: [kg/m²].
+        held: indices of held vertices.
+        membrane: which energy of in-plane strain.
+        flat: it wants to be flat, as woven; else it keeps the angles of ``rest``.
+    """
+    topology = Topology(len(rest), faces)
+    return Cloth(
+        topology=topology,
+        energies=InternalEnergy(
+            (
+                membrane(topology.faces, rest_triangles(rest, topology.faces)),
+                DihedralBending(topology.hinges, rest_hinges(rest, topology.hinges, flat=flat)),
+            )
+        ),
+        masses=mesh_masses(rest, topology.faces, areal_density),
+        held=torch.tensor(held, dtype=torch.int64),
     )

@@ -16,6 +16,8 @@ from torch.autograd.function import once_differentiable
 from toile.physics.cloth import Cloth
 from toile.physics.implicit.assembly import Assembly
 from toile.physics.implicit.integrators import Formula, Integrator
+from toile.physics.implicit.linear_solvers.base import LinearSolver
+from toile.physics.implicit.linear_solvers.choice import chosen_solver
 from toile.physics.implicit.newton import StepSolution, linearise
 from toile.physics.implicit.terms import SceneTerms, TermMemory, depends_on_gradients, term_forces
 from toile.physics.material import Material
@@ -42,7 +44,8 @@ class LinearizableSimulator(Simulator):
         terms: what acts within the step besides, see StepTerm; gradients reach the numbers inside.
 
     Attributes:
-        assembly: internal energy of the cloth; fixes the order of the unknowns in a linearization.
+        assembly: internal energy of the cloth.
+        solver: for its Hessians.
         force_scale: weight of an interior vertex [N], which tolerances are fractions of.
     """
 
@@ -61,9 +64,8 @@ class LinearizableSimulator(Simulator):
         self._exact_step = time_step
         self.integrator = integrator
         self.n_past = integrator.history - 1
-        self.assembly = Assembly(
-            cloth.stencils, cloth.rest_lengths.numpy(), cloth.rest_corner_angles.numpy(), cloth.held.numpy()
-        )
+        self.assembly = Assembly.of(cloth)
+        self.solver: LinearSolver = chosen_solver(self.assembly.pattern, self.assembly.held)
         self._masses: Array = cloth.masses.detach().numpy()
         self.force_scale = float(self._masses.max()) * STANDARD_GRAVITY
 
@@ -111,7 +113,7 @@ class LinearizableSimulator(Simulator):
         history = torch.cat((state.positions[:, None], state.past), dim=1)
         weights = torch.tensor(formula.prediction, dtype=history.dtype)
         prediction = (weights[None, :, None, None] * history[:, : self.integrator.history]).sum(1)
-        stiffness = torch.stack((material.stretching, material.shearing, material.bending), -1)
+        stiffness = self.cloth.energies.coefficients(material.values)
         starts = self._starts(state, material, forces, anchors, guess)
         contexts = self._contexts(state, material, anchors)
         scenes = [SceneTerms.of(self.terms, now) for now in contexts] or [SceneTerms()] * len(forces)
@@ -162,11 +164,7 @@ class LinearizableSimulator(Simulator):
         return [
             StepContext(
                 cloth=self.cloth,
-                material=Material(
-                    material.stretching[b : b + 1],
-                    material.shearing[b : b + 1],
-                    material.bending[b : b + 1],
-                ),
+                material=material.scene(b),
                 positions=state.positions[b],
                 velocities=state.velocities[b],
                 time=(state.steps + 1) * self.time_step,
@@ -209,9 +207,7 @@ class LinearizableSimulator(Simulator):
             "positions": (state.positions, (batch, n, 3)),
             "velocities": (state.velocities, (batch, n, 3)),
             "past": (state.past, (batch, self.n_past, n, 3)),
-            "stretching stiffness": (material.stretching, (batch,)),
-            "shearing stiffness": (material.shearing, (batch,)),
-            "bending stiffness": (material.bending, (batch,)),
+            "material": (material.values, (batch, len(self.cloth.energies.parameters))),
             "forces": (forces, (batch, n, 3)),
             "anchors": (anchors, (batch, len(self.cloth.held), 3)),
         }
@@ -281,9 +277,11 @@ class _ImplicitStep(torch.autograd.Function):
             if linear is None:
                 scene.prepare(assembly)
                 unit = assembly.gradients(solution.positions)
-                linear = linearise(assembly, solution.positions, unit, k, ctx.inertia, scene.vertices)
+                linear = linearise(
+                    assembly, simulator.solver, solution.positions, unit, k, ctx.inertia, scene.vertices
+                )
             g = gradient[b].numpy()
-            adjoint = assembly.from_band(linear.factor.solve(assembly.to_band(g * assembly.free)))
+            adjoint = linear.factor.solve(g)
             to_forces.append(adjoint)
             to_prediction.append(linear.inertia[:, None] * adjoint)
             to_stiffness.append(-(linear.unit_gradients * adjoint).sum((1, 2)))

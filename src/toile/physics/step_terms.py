@@ -1,4 +1,4 @@
-"""What may act on a cloth within one step beside inertia, the three energies and the external force.
+"""What may act on a cloth within one step beside inertia, internal energy and the external force.
 
 A term is written as torch functions of the new positions and of what is known when the step begins. Whatever
 would make a term couple vertices beyond the band of the Hessian (normals of neighbours, strains, velocities)
@@ -17,8 +17,9 @@ from typing import Any, TypeVar
 import torch
 from torch import Tensor
 
-from toile.geometry.mesh import grid_faces, vertex_normals
+from toile.geometry.mesh import vertex_normals
 from toile.physics.cloth import Cloth
+from toile.physics.elements import Elements
 from toile.physics.material import Material
 
 T = TypeVar("T")
@@ -30,7 +31,7 @@ class StepContext:
 
     Attributes:
         cloth: see Cloth; N vertices.
-        material: stiffnesses (1,) each.
+        material: of this scene, a batch of one.
         positions: x_n (N, 3) [m].
         velocities: v_n (N, 3) [m/s].
         time: of the end of the step since frame 0 [s].
@@ -65,56 +66,18 @@ class StepContext:
     @cached_property
     def normals(self) -> Tensor:
         """Unit normals (N, 3) of the cloth at x_n, towards the side from which its faces turn clockwise."""
-        if self.cloth.grid is None:
-            raise ValueError("normals: expected a cloth on a grid")
-        return vertex_normals(self.positions, grid_faces(*self.cloth.grid))
+        return vertex_normals(self.positions, self.cloth.topology.faces)
 
     def detached(self) -> StepContext:
         """The same without gradients."""
-        material = self.material
         return StepContext(
             cloth=replace(self.cloth, masses=self.cloth.masses.detach()),
-            material=Material(
-                material.stretching.detach(), material.shearing.detach(), material.bending.detach()
-            ),
+            material=self.material.detached(),
             positions=self.positions.detach(),
             velocities=self.velocities.detach(),
             time=self.time,
             time_step=float(torch.as_tensor(self.time_step).detach()),
             anchors=self.anchors.detach(),
-        )
-
-
-@dataclass(frozen=True)
-class Elements:
-    """Stiffness factors and rest shape of every element.
-
-    Attributes:
-        stretching, shearing, bending: factors on Y, S and B, (E,), (C,), (S,).
-        rest_lengths: (E,) [m].
-        rest_corner_angles: (C,) [rad].
-        rest_straight_angles: (S,) [rad], at least 0.
-    """
-
-    stretching: Tensor
-    shearing: Tensor
-    bending: Tensor
-    rest_lengths: Tensor
-    rest_corner_angles: Tensor
-    rest_straight_angles: Tensor
-
-    @staticmethod
-    def of(cloth: Cloth) -> Elements:
-        """Elements of an unchanged cloth: factors 1, straight angles 0."""
-        counts = (len(cloth.stencils.edges), len(cloth.stencils.corners), len(cloth.stencils.straights))
-        stretching, shearing, bending = (torch.ones(n, dtype=torch.float64) for n in counts)
-        return Elements(
-            stretching,
-            shearing,
-            bending,
-            cloth.rest_lengths,
-            cloth.rest_corner_angles,
-            torch.zeros(counts[2], dtype=torch.float64),
         )
 
 

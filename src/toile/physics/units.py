@@ -37,6 +37,14 @@ class NetworkUnits:
         """N·m per network unit of S, B and any other energy."""
         return self.mass * self.length**2 / self.time**2
 
+    def of(self, unit: str) -> float:
+        """SI per network unit of a quantity with that SI unit.
+
+        Raises:
+            KeyError: no such quantity has network units.
+        """
+        return {"N/m": self.stretching, "N·m": self.energy, "N": self.force, "": 1.0}[unit]
+
     @property
     def force(self) -> float:
         """N per network unit of force."""

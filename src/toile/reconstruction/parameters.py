@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated
 
 import torch
 from torch import Tensor, nn
 
 from toile.limits import Positive, Unit
+from toile.physics.cloth import GRID_PARAMETERS
 from toile.physics.material import Material
 from toile.physics.units import NetworkUnits
 
@@ -25,8 +27,8 @@ class ClothParameters(nn.Module):
         texture_offset: change of the texture coordinates, shape (N, 2).
     """
 
-    NAMES = ("stretching", "shearing", "bending", "wind", "turbulence", "anchor_motion", "texture_offset")
-    STIFFNESSES = ("stretching", "shearing", "bending")
+    NAMES = (*GRID_PARAMETERS.names, "wind", "turbulence", "anchor_motion", "texture_offset")
+    STIFFNESSES = GRID_PARAMETERS.names
 
     def __init__(
         self,
@@ -42,20 +44,34 @@ class ClothParameters(nn.Module):
         super().__init__()
         double = torch.float64
         self.units = units
-        self.stretching = nn.Parameter(torch.tensor(stretching, dtype=double))
-        self.shearing = nn.Parameter(torch.tensor(shearing, dtype=double))
-        self.bending = nn.Parameter(torch.tensor(bending, dtype=double))
+        stiffnesses = {"stretching": stretching, "shearing": shearing, "bending": bending}
+        for name in GRID_PARAMETERS.names:
+            self.register_parameter(name, nn.Parameter(torch.tensor(stiffnesses[name], dtype=double)))
         self.wind = nn.Parameter(torch.zeros(3, dtype=double))
         self.turbulence = nn.Parameter(torch.zeros(n_frames - 1, n_vertices, 3, dtype=double))
         self.anchor_motion = nn.Parameter(torch.zeros(n_frames, n_held, 3, dtype=double))
         self.texture_offset = nn.Parameter(torch.zeros(n_vertices, 2, dtype=double))
 
+    @property
+    def stiffness_units(self) -> Tensor:
+        """SI per network unit of every stiffness, in the order of ``GRID_PARAMETERS``."""
+        return torch.tensor([self.units.of(p.unit) for p in GRID_PARAMETERS], dtype=torch.float64)
+
+    def stiffness(self) -> Tensor:
+        """Stiffnesses in network units without gradients, in the order of ``GRID_PARAMETERS``."""
+        return torch.stack([self.get_parameter(name) for name in GRID_PARAMETERS.names]).detach()
+
+    @torch.no_grad()
+    def set_stiffness(self, values: Sequence[float]) -> None:
+        """Set them, in network units."""
+        for name, value in GRID_PARAMETERS.unpack(values).items():
+            self.get_parameter(name).fill_(float(value))
+
     def material(self) -> Material:
         """Stiffnesses in SI units, batch of one."""
-        return Material(
-            stretching=(self.stretching * self.units.stretching)[None],
-            shearing=(self.shearing * self.units.energy)[None],
-            bending=(self.bending * self.units.energy)[None],
+        return Material.of(
+            GRID_PARAMETERS,
+            {p.name: self.get_parameter(p.name) * self.units.of(p.unit) for p in GRID_PARAMETERS},
         )
 
     def forces(self, masses: Tensor, gravity: Tensor, first: int, last: int) -> Tensor:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from toile.physics.cloth import GRID_PARAMETERS
+
 _NO_MEASUREMENT = (
     "The stiffness is the one with which tracking goes well, and no measurement: free forces were fitted "
     "beside it and explain almost any motion. It depends on the template and on the values that the fit "
@@ -34,7 +36,7 @@ def stiffness_note(settings: Mapping[str, Any]) -> str:
             rates = recipe.get("learning_rates")
             if not isinstance(rates, Mapping):
                 return ""
-            if not any(rates.get(name) for name in ("stretching", "shearing", "bending")):
+            if not any(rates.get(name) for name in GRID_PARAMETERS.names):
                 return _GIVEN
             return _NO_MEASUREMENT if rates.get("turbulence") else _MEASURED
     return ""

@@ -20,11 +20,10 @@ from toile.diagnosis.tracked import Tracked
 from toile.effects.base import Surroundings
 from toile.effects.catalogue import CATALOGUE
 from toile.effects.setting import setting
-from toile.physics.cloth import grid_cloth
+from toile.physics.cloth import grid_cloth, grid_material
 from toile.physics.implicit.integrators import BDF2
 from toile.physics.implicit.newton import NewtonSettings
 from toile.physics.implicit.simulator import ImplicitSimulator
-from toile.physics.material import Material
 from toile.physics.rollout import rollout
 from toile.physics.state import State
 
@@ -56,7 +55,7 @@ def mechanics() -> Mechanics:
     state = State.start(start, torch.zeros_like(start), h, real.n_past)
     with torch.no_grad():
         motion = rollout(
-            real, state, Material(k[0], k[1], k[2]), given.forces[None], given.anchors[None], SUBSTEPS
+            real, state, grid_material(k[0], k[1], k[2]), given.forces[None], given.anchors[None], SUBSTEPS
         )
     positions = motion.positions[0].numpy()
     n = 3 * positions.shape[1]

@@ -18,12 +18,11 @@ from toile.diagnosis.sensitivities import (
 from toile.effects.base import Effect, Surroundings
 from toile.effects.catalogue import CATALOGUE
 from toile.effects.setting import setting
-from toile.physics.cloth import grid_cloth
-from toile.physics.implicit.banded import BandedCholesky
+from toile.physics.cloth import grid_cloth, grid_material
 from toile.physics.implicit.integrators import BDF2
+from toile.physics.implicit.linear_solvers.banded import BandedCholesky
 from toile.physics.implicit.newton import NewtonSettings
 from toile.physics.implicit.simulator import ImplicitSimulator
-from toile.physics.material import Material
 from toile.physics.rollout import rollout
 from toile.physics.state import State
 
@@ -62,7 +61,7 @@ def simulate(effects, around: Surroundings) -> np.ndarray:
     state = State.start(x0, torch.zeros_like(x0), step, simulator.n_past)
     with torch.no_grad():
         motion = rollout(
-            simulator, state, Material(k[0], k[1], k[2]), given.forces[None], given.anchors[None], 1
+            simulator, state, grid_material(k[0], k[1], k[2]), given.forces[None], given.anchors[None], 1
         )
     return motion.positions[0].numpy()
 
@@ -166,7 +165,7 @@ def growth(scale: float, settings: TangentSettings) -> float:
     motion.step(0)
     _, inertia = motion.coefficients(0)
     factor, _ = motion._factor(x, inertia)
-    place = np.argsort(simulator.assembly._to_band)
+    place = np.argsort(motion._solver.order)
     weight = np.sqrt(np.repeat(inertia, 3))[place]
     free = simulator.assembly.free.reshape(-1)[place] > 0
     inverse = factor.solve(np.eye(factor.n, dtype=np.float32))

@@ -11,11 +11,10 @@ import torch
 from toile.diagnosis.base_fit import Base, base_columns
 from toile.diagnosis.sensitivities import Columns, KnownMotion, StepForces
 from toile.diagnosis.template_tension import TemplateTension, template_tension
-from toile.physics.cloth import Cloth, grid_cloth
+from toile.physics.cloth import Cloth, grid_cloth, grid_material
 from toile.physics.implicit.integrators import BDF2, BackwardEuler
 from toile.physics.implicit.newton import NewtonSettings
 from toile.physics.implicit.simulator import ImplicitSimulator
-from toile.physics.material import Material
 from toile.physics.rollout import rollout
 from toile.physics.state import State
 
@@ -38,7 +37,7 @@ def move(
     force = (cloth.masses[:, None] * torch.from_numpy(GRAVITY)).expand(frames - 1, -1, 3)
     anchors = x[:, cloth.held].expand(frames, -1, -1)
     with torch.no_grad():
-        motion = rollout(simulator, state, Material(k[0], k[1], k[2]), force[None], anchors[None], 1)
+        motion = rollout(simulator, state, grid_material(k[0], k[1], k[2]), force[None], anchors[None], 1)
     return motion.positions[0].numpy()
 
 

@@ -10,11 +10,7 @@ from torch import Tensor
 
 from toile.errors import InputError
 from toile.generation.refinement import coarsen, refine, refined_material, refined_size, refined_vertices
-from toile.physics.cloth import grid_cloth, grid_masses
-from toile.physics.energies.bending import bending_energy
-from toile.physics.energies.shearing import shearing_energy
-from toile.physics.energies.stretching import stretching_energy
-from toile.physics.material import Material
+from toile.physics.cloth import grid_cloth, grid_masses, grid_material
 
 SIZE = (0.6, 0.4)
 GRID = (16, 12)
@@ -46,15 +42,9 @@ def energies(positions: Tensor, factor: int) -> tuple[float, float, float]:
     grid = (positions.shape[0], positions.shape[1])
     cloth = grid_cloth(grid, SIZE, 0.15, ())
     values = (torch.tensor([v], dtype=torch.float64) for v in (Y, S, B))
-    material = refined_material(Material(*values), factor)
-    x = positions.reshape(1, -1, 3)
-    return (
-        float(stretching_energy(x, cloth.stencils.edges, cloth.rest_lengths, material.stretching[:, None])),
-        float(
-            shearing_energy(x, cloth.stencils.corners, cloth.rest_corner_angles, material.shearing[:, None])
-        ),
-        float(bending_energy(x, cloth.stencils.straights, material.bending[:, None])),
-    )
+    material = refined_material(grid_material(*values), factor)
+    of = cloth.energies.each(positions.reshape(1, -1, 3), cloth.energies.coefficients(material.values))
+    return float(of["stretching"]), float(of["shearing"]), float(of["bending"])
 
 
 @pytest.mark.parametrize("factor", [2, 3])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from toile.physics.implicit.banded import BandedCholesky, bandwidth_order
+from toile.physics.implicit.linear_solvers.banded import BandedCholesky, bandwidth_order
 from toile.physics.stencils import grid_stencils
 
 

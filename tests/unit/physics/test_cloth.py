@@ -69,7 +69,7 @@ def test_bad_sizes_are_told():
         Stencils(3, torch.zeros(0, 2).long(), torch.tensor([[0, 1, 7]]), torch.zeros(0, 3).long())
     cloth = grid_cloth((2, 3), (1.0, 1.0), 0.2, ())
     with pytest.raises(ValueError, match=r"masses: expected shape \(6,\), got \(5,\)"):
-        Cloth(cloth.stencils, cloth.rest_lengths, cloth.rest_corner_angles, torch.ones(5), cloth.held)
+        Cloth(cloth.topology, cloth.energies, torch.ones(5), cloth.held)
 
 
 def test_network_units_are_those_of_newtons_law():

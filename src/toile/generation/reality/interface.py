@@ -14,7 +14,8 @@ from torch import Tensor
 
 from toile.effects.base import Stage
 from toile.geometry.camera import Camera
-from toile.physics.step_terms import Elements, StepContext
+from toile.physics.elements import Elements
+from toile.physics.step_terms import StepContext
 
 Rng = np.random.Generator
 Array = NDArray[np.float64]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import torch
@@ -16,7 +15,8 @@ from toile.generation.reality.interface import (
     places_of,
 )
 from toile.geometry.horizontal import horizontal_axes
-from toile.physics.step_terms import Elements, StepContext
+from toile.physics.elements import Elements
+from toile.physics.step_terms import StepContext
 
 
 class MixedDrag(RealityEffect):
@@ -70,16 +70,12 @@ class ThinningDamping(RealityEffect):
             return tau[index] / h / (1 + rate.abs() / self.half_rate)
 
         lengths = _lengths(x, s.edges)
-        a = share(0, (lengths - _lengths(before, s.edges)) / (h * elements.rest_lengths))
+        a = share(0, (lengths - _lengths(before, s.edges)) / (h * elements.rest["stretching"]))
         angles = _angles(x, s.corners)
         b = share(1, (angles - _angles(before, s.corners)) / h)
-        return replace(
-            elements,
-            stretching=elements.stretching * (1 + a),
-            rest_lengths=(elements.rest_lengths + a * lengths) / (1 + a),
-            shearing=elements.shearing * (1 + b),
-            rest_corner_angles=(elements.rest_corner_angles + b * angles) / (1 + b),
-            bending=elements.bending * (1 + float(tau[2]) / h),
+        return elements.scaled(stretching=1 + a, shearing=1 + b, bending=(1 + float(tau[2]) / h)).with_rest(
+            stretching=(elements.rest["stretching"] + a * lengths) / (1 + a),
+            shearing=(elements.rest["shearing"] + b * angles) / (1 + b),
         )
 
     def acceleration(self, now: StepContext) -> Tensor:
@@ -88,7 +84,7 @@ class ThinningDamping(RealityEffect):
         target = _bends(now.positions - now.time_step * now.velocities, s.straights).norm(dim=-1)
         towards = torch.nn.functional.normalize(_bends(now.positions, s.straights), dim=-1)
         tau = self.strength * float(self.times[2])
-        moment = now.material.bending * tau / now.time_step * target
+        moment = now.material["bending"] * tau / now.time_step * target
         return bending_force(now, moment[:, None] * towards) / now.cloth.masses[:, None]
 
     def parameters(self) -> dict[str, object]:
@@ -116,11 +112,7 @@ class TwoRatioAnisotropy(RealityEffect):
         along_edge = ((s.edges[:, 1] - s.edges[:, 0]) == W).double() * 2 - 1
         along_straight = ((s.straights[:, 1] - s.straights[:, 0]) == W).double() * 2 - 1
         a, b = (0.5 * self.sign * self.strength * e for e in self.exponents)
-        return replace(
-            elements,
-            stretching=elements.stretching * torch.exp(a * along_edge),
-            bending=elements.bending * torch.exp(b * along_straight),
-        )
+        return elements.scaled(stretching=torch.exp(a * along_edge), bending=torch.exp(b * along_straight))
 
     def parameters(self) -> dict[str, object]:
         """See RealityEffect."""
@@ -145,10 +137,8 @@ class ExponentialStiffening(RealityEffect):
         strain = (_lengths(now.positions, s.edges) / now.cloth.rest_lengths - 1).clamp(min=0)
         shear = (_angles(now.positions, s.corners) - now.cloth.rest_corner_angles).abs()
         a, b = (self.strength * r for r in self.rates)
-        return replace(
-            elements,
-            stretching=elements.stretching * torch.exp((a * strain).clamp(max=3)),
-            shearing=elements.shearing * torch.exp((b * shear).clamp(max=4)),
+        return elements.scaled(
+            stretching=torch.exp((a * strain).clamp(max=3)), shearing=torch.exp((b * shear).clamp(max=4))
         )
 
     def parameters(self) -> dict[str, object]:
@@ -177,7 +167,7 @@ class CurvedBand(RealityEffect):
         across = ((straights[:, 1] - straights[:, 0]) == W) == (self.axis == 0)
         inside = self.where(places_of(now))[straights[:, 1]] & across
         spacing = (now.positions[straights[:, 2]] - now.positions[straights[:, 1]]).norm(dim=-1)
-        moment = now.material.bending * self.strength * self.curvature * spacing * inside
+        moment = now.material["bending"] * self.strength * self.curvature * spacing * inside
         normals = now.normals[straights[:, 1]]
         return bending_force(now, moment[:, None] * normals) / now.cloth.masses[:, None]
 
@@ -247,11 +237,10 @@ class StiffPatches(_Blobs):
         """See RealityEffect."""
         s = now.cloth.stencils
         factor = torch.exp((self.strength * self.field(places_of(now))).clamp(max=6))
-        return replace(
-            elements,
-            stretching=elements.stretching * factor[s.edges].mean(-1).clamp(max=8),
-            shearing=elements.shearing * factor[s.corners[:, 1]],
-            bending=elements.bending * factor[s.straights[:, 1]],
+        return elements.scaled(
+            stretching=factor[s.edges].mean(-1).clamp(max=8),
+            shearing=factor[s.corners[:, 1]],
+            bending=factor[s.straights[:, 1]],
         )
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import torch
@@ -18,7 +17,8 @@ from toile.generation.reality.interface import (
     unit,
 )
 from toile.generation.reality.mechanics import bending_force, bends
-from toile.physics.step_terms import Elements, StepContext
+from toile.physics.elements import Elements
+from toile.physics.step_terms import StepContext
 
 
 class PlasticCreases(RealityEffect):
@@ -41,7 +41,7 @@ class PlasticCreases(RealityEffect):
 
     def elements(self, elements: Elements, now: StepContext) -> Elements:
         """Creased cloth is stiffer in bending, or its rest angle would not show."""
-        return replace(elements, bending=elements.bending * (1 + self.hardness * self.strength))
+        return elements.scaled(bending=1 + self.hardness * self.strength)
 
     def acceleration(self, now: StepContext) -> Tensor:
         """See RealityEffect."""
@@ -54,7 +54,7 @@ class PlasticCreases(RealityEffect):
         yielding = self.yield_curvature * float(now.cloth.rest_lengths.mean())
         beyond = away.sign() * (away.abs() - yielding).clamp(min=0)
         self._rest = self._rest + min(self.rate * now.time_step, 1.0) * beyond
-        moment = now.material.bending * self.hardness * self.strength * self._rest
+        moment = now.material["bending"] * self.hardness * self.strength * self._rest
         return bending_force(now, moment[:, None] * normals) / now.cloth.masses[:, None]
 
     def parameters(self) -> dict[str, object]:
@@ -146,7 +146,7 @@ class Shrinking(RealityEffect):
         done = 1 - math.exp(-max(now.time - self.begin_time, 0.0) / (0.4 * self.reference.duration))
         a, b = (1 - min(0.02 * self.strength * float(r) * done, 0.3) for r in self.ratios)
         factor = torch.where(along, torch.tensor(a).double(), torch.tensor(b).double())
-        return replace(elements, rest_lengths=elements.rest_lengths * factor)
+        return elements.with_rest(stretching=elements.rest["stretching"] * factor)
 
     def parameters(self) -> dict[str, object]:
         """See RealityEffect."""

@@ -11,12 +11,13 @@ from torch import Tensor
 from toile.generation.motion import HeldMotion
 from toile.generation.reality.interface import RealityEffect, places_on
 from toile.generation.simulation import Sheet
+from toile.physics.elements import Elements
 from toile.physics.implicit.integrators import BDF2
 from toile.physics.implicit.newton import NewtonSettings
 from toile.physics.implicit.simulator import ImplicitSimulator
 from toile.physics.simulator import SimulationError, StepStatus
 from toile.physics.state import State
-from toile.physics.step_terms import Elements, StepContext
+from toile.physics.step_terms import StepContext
 
 
 def simulate_reality(
@@ -76,7 +77,7 @@ def simulate_reality(
     motion = [sheet.pose.reshape(-1, 3)]
     changing = [e for e in effects if type(e).elements is not RealityEffect.elements]
     pushing = [e for e in effects if type(e).acceleration is not RealityEffect.acceleration]
-    nominal = Elements.of(cloth)
+    nominal = cloth.energies.elements()
     for n in range(1, n_steps + 1):
         forces = constant
         if changing or pushing:
@@ -118,9 +119,4 @@ class _ElementSimulator(ImplicitSimulator):
 
     def use(self, elements: Elements) -> None:
         """Take these elements from the next step on."""
-        self.assembly.set_elements(
-            (elements.stretching.numpy(), elements.shearing.numpy(), elements.bending.numpy()),
-            elements.rest_lengths.numpy(),
-            elements.rest_corner_angles.numpy(),
-            elements.rest_straight_angles.numpy(),
-        )
+        self.assembly.set_elements(elements)

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 from torch import Tensor
 
 from toile.physics.energies.angle import angle_between, squared_angle
+from toile.physics.energies.term import EnergyTerm, TermKernels
+from toile.physics.parameter_vector import Parameter
 
 
 def bending_energy(
@@ -29,3 +33,21 @@ def bending_energy(
         # Expanded, so that the part of θ₀ = 0 stays as smooth as without rest angles.
         away = away - 2 * rest_angles * angle_between(before, after) + rest_angles.square()
     return 0.5 * (stiffness * away).sum(-1)
+
+
+class Bending(EnergyTerm):
+    """Bending of warp and weft: element (i, k, j), edges i->k and k->j, of rest angle θ₀ ≥ 0 [rad]."""
+
+    name: ClassVar[str] = "bending"
+    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("bending", "B", "N·m"),)
+    n_coefficients: ClassVar[int] = 1
+
+    def energy(self, positions: Tensor, coefficients: Tensor, factors: Tensor, rest: Tensor) -> Tensor:
+        """See EnergyTerm."""
+        return bending_energy(positions, self.stencil, coefficients * factors, rest)
+
+    def kernels(self) -> TermKernels:
+        """See EnergyTerm."""
+        from toile.physics.energies.angle_kernels import bending_derivatives, bending_energies
+
+        return TermKernels(bending_energies, bending_derivatives)

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 from torch import Tensor
+
+from toile.physics.energies.term import EnergyTerm, TermKernels
+from toile.physics.parameter_vector import Parameter
 
 
 def stretching_energy(
@@ -21,3 +26,21 @@ def stretching_energy(
     """
     length = (positions[..., edges[:, 1], :] - positions[..., edges[:, 0], :]).norm(dim=-1)
     return 0.5 * (stiffness * (length - rest_lengths) ** 2).sum(-1)
+
+
+class Stretching(EnergyTerm):
+    """Stretching of warp and weft: element (k, l) of rest length L₀ [m]."""
+
+    name: ClassVar[str] = "stretching"
+    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("stretching", "Y", "N/m"),)
+    n_coefficients: ClassVar[int] = 1
+
+    def energy(self, positions: Tensor, coefficients: Tensor, factors: Tensor, rest: Tensor) -> Tensor:
+        """See EnergyTerm."""
+        return stretching_energy(positions, self.stencil, rest, coefficients * factors)
+
+    def kernels(self) -> TermKernels:
+        """See EnergyTerm."""
+        from toile.physics.energies.stretching_kernels import stretching_derivatives, stretching_energies
+
+        return TermKernels(stretching_energies, stretching_derivatives)

@@ -110,6 +110,7 @@ class HybridSimulator(LinearizableSimulator):
             term.prepare(self.assembly)
             solution = minimise_incremental_potential(
                 self.assembly,
+                self.solver,
                 *scene,
                 inertia,
                 self.force_scale,

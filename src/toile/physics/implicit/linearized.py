@@ -1,7 +1,7 @@
 """Tangents and adjoints of a whole rollout from the factorisations that its steps have left behind.
 
 One object serves Gauss-Newton, confidence intervals and sensitivities: after a rollout with
-``linearize=True`` a tangent or an adjoint costs one banded solve per step, about a tenth of the simulation.
+``linearize=True`` a tangent or an adjoint costs one solve per step, about a tenth of the simulation.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Perturbation:
 
     Attributes:
         forces: (F-1, N, 3) [N].
-        stiffness: (3,) Y [N/m], S, B [N·m].
+        stiffness: (C,) coefficients of the energies.
         anchors: (F, n_held, 3) [m].
         positions: initial positions (N, 3) [m].
         velocities: initial velocities (N, 3) [m/s].
@@ -133,7 +133,7 @@ class LinearizedRollout:
                         change.stiffness,
                         change.values,
                     )
-            x = assembly.from_band(step.factor.solve(assembly.to_band(right * free)))
+            x = step.factor.solve(right)
             x[held] = anchor if moving else 0.0
             history = [x, *history[:-1]]
             every.append(x)
@@ -146,7 +146,7 @@ class LinearizedRollout:
         n, k = self.n_vertices, self.simulator.integrator.history
         to = Perturbation(
             np.zeros((self.n_frames - 1, n, 3)),
-            np.zeros(3),
+            np.zeros(assembly.internal.n_coefficients),
             np.zeros((self.n_frames, len(held), 3)),
             np.zeros((n, 3)),
             np.zeros((n, 3)),
@@ -162,7 +162,7 @@ class LinearizedRollout:
             g = pending.pop(0)
             if sub == between:
                 g = g + gradient[frame + 1]
-            adjoint = assembly.from_band(step.factor.solve(assembly.to_band(g * free)))
+            adjoint = step.factor.solve(g)
             to.forces[frame] += adjoint
             to.stiffness -= (step.unit_gradients * adjoint).sum((1, 2))
             if self._imbalance:

@@ -7,7 +7,7 @@
 | x̂ | prediction of the integrator from past positions | (N, 3) m |
 | M | vertex masses | (N,) kg |
 | β h | effective step | s |
-| E | internal energy Y e_Y + S e_S + B e_B | J |
+| E | internal energy Σ_c k_c e_c | J |
 | f | external force | (N, 3) N |
 | U | potentials of single vertices, if any | (N,) J |
 
@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from toile.limits import Count, CountOrZero, Positive
 from toile.physics.implicit.assembly import Assembly
-from toile.physics.implicit.banded import BandedCholesky
+from toile.physics.implicit.linear_solvers.base import Factor, LinearSolver
 from toile.physics.implicit.terms import TermMemory, VertexPotential
 from toile.physics.simulator import StepStatus
 
@@ -70,16 +70,16 @@ class Linearization:
     """Derivatives of one step at its solution, in the vertices' own order unless stated.
 
     Attributes:
-        factor: Cholesky factor of the Hessian of Φ over the free vertices (band order), 1 at held ones.
+        factor: Cholesky factor of the Hessian of Φ over the free vertices.
         coupling: (3 n_held, 3N) ∂²E/∂x_held∂x_free.
-        unit_gradients: (3, N, 3) gradients of e_Y, e_S and e_B.
+        unit_gradients: (C, N, 3) gradients of the unit energies e_c.
         inertia: (N,) masses / (β h)².
         exact: whether the Hessian is the exact one at the solution. If not, the derivatives are approximate:
             the solution is a saddle, or the factor was made on the way to it.
         memory: how the step terms depend on the past, if there are any.
     """
 
-    factor: BandedCholesky
+    factor: Factor
     coupling: Array
     unit_gradients: Array
     inertia: Array
@@ -100,6 +100,7 @@ class StepSolution:
 
 def minimise_incremental_potential(
     assembly: Assembly,
+    solver: LinearSolver,
     guesses: Array,
     prediction: Array,
     anchors: Array,
@@ -117,11 +118,12 @@ def minimise_incremental_potential(
 
     Args:
         assembly: internal energy of the cloth.
+        solver: for matrices of its pattern.
         guesses: (G, N, 3) candidate starts [m]; the one of lowest Φ is taken.
         prediction: x̂ (N, 3) [m].
         anchors: positions of the held vertices (n_held, 3) [m].
         forces: f (N, 3) [N].
-        stiffness: (3,) Y [N/m], S, B [N·m].
+        stiffness: (C,) coefficients of the energies.
         inertia: masses / (β h)², (N,) [kg/s²].
         force_scale: force that ``tolerance`` is relative to [N].
         settings: see NewtonSettings.
@@ -158,8 +160,8 @@ def minimise_incremental_potential(
     x, value = starts[best], float(values[best])
     unit_gradients = assembly.gradients(x)
     residual = residual_of(unit_gradients, x)
-    factor: BandedCholesky | None = None
-    coupling: Array | None = None
+    factor: Factor | None = None
+    blocks: Array | None = None
     level = 0
     iteration = 0
     status = StepStatus.CONVERGED
@@ -173,11 +175,11 @@ def minimise_incremental_potential(
             status = StepStatus.MAX_ITERATIONS
             break
         iteration += 1
-        factor, coupling, level = _regularised_factor(assembly, x, stiffness, inertia, level, extra)
+        factor, blocks, level = _regularised_factor(assembly, solver, x, stiffness, inertia, level, extra)
         if factor is None:
             status = StepStatus.LINE_SEARCH_FAILED
             break
-        direction = -assembly.from_band(factor.solve(assembly.to_band(residual)))
+        direction = -factor.solve(residual)
         slope = float((residual * direction).sum())
         length = 1.0
         for _ in range(settings.max_halvings):
@@ -202,7 +204,7 @@ def minimise_incremental_potential(
             worst = float(np.abs(residual).max())
             if worst <= threshold:
                 break
-            trial = x - assembly.from_band(factor.solve(assembly.to_band(residual)))
+            trial = x - factor.solve(residual)
             trial_gradients = assembly.gradients(trial)
             trial_residual = residual_of(trial_gradients, trial)
             if not np.abs(trial_residual).max() <= _REUSE_RATIO * worst:
@@ -213,44 +215,42 @@ def minimise_incremental_potential(
             x, value, unit_gradients, residual = trial, trial_value, trial_gradients, trial_residual
         level = max(min(level, len(_PROJECTED_SHARES) - 1) - 1, 0)
     linearization = None
-    if linearize and not fresh_linearization and factor is not None and coupling is not None:
-        linearization = Linearization(factor, coupling, unit_gradients, inertia, exact=False)
+    if linearize and not fresh_linearization and factor is not None and blocks is not None:
+        linearization = Linearization(factor, assembly.coupling(blocks), unit_gradients, inertia, exact=False)
     elif linearize:
-        linearization = linearise(assembly, x, unit_gradients, stiffness, inertia, extra)
+        linearization = linearise(assembly, solver, x, unit_gradients, stiffness, inertia, extra)
     return StepSolution(x, status, iteration, float(np.abs(residual).max(initial=0.0)), linearization)
 
 
 def _regularised_factor(
     assembly: Assembly,
+    solver: LinearSolver,
     x: Array,
     stiffness: Array,
     inertia: Array,
     level: int,
     extra: VertexPotential | None,
-) -> tuple[BandedCholesky | None, Array | None, int]:
+) -> tuple[Factor | None, Array | None, int]:
     """Factor of the Hessian of Φ at the first level of regularisation, from ``level`` on, that allows one.
 
-    The coupling to the held vertices comes with it where the level is 0: the exact Hessian.
+    The blocks of E + Σ U come with it where the level is 0: the exact Hessian.
     """
-    exact, coupling = potential_hessian(assembly, x, stiffness, extra, convex=False)
+    exact = potential_hessian(assembly, x, stiffness, extra, convex=False)
     if level == 0:
-        assembly.add_diagonal(exact, inertia)
-        factor = BandedCholesky.factorise(exact)
+        factor = solver.factorise(exact, inertia)
         if factor is not None:
-            return factor, coupling, 0
-        exact, _ = potential_hessian(assembly, x, stiffness, extra, convex=False)
+            return factor, exact, 0
         level = 1
-    added, _ = potential_hessian(assembly, x, stiffness, extra, convex=True)
+    added = potential_hessian(assembly, x, stiffness, extra, convex=True)
     added -= exact
-    band = np.empty_like(exact)
+    blocks = np.empty_like(exact)
     while level <= _MAX_LEVEL:
         beyond = level - len(_PROJECTED_SHARES)
         share = 1.0 if beyond >= 0 else _PROJECTED_SHARES[level]
         damping = _INERTIA_GROWTH**beyond if beyond >= 0 else 0.0
-        np.multiply(added, share, out=band)
-        band += exact
-        assembly.add_diagonal(band, inertia * (1 + damping))
-        factor = BandedCholesky.factorise(band)
+        np.multiply(added, share, out=blocks)
+        blocks += exact
+        factor = solver.factorise(blocks, inertia * (1 + damping))
         if factor is not None:
             return factor, None, level
         level += 1
@@ -259,16 +259,17 @@ def _regularised_factor(
 
 def potential_hessian(
     assembly: Assembly, x: Array, stiffness: Array, extra: VertexPotential | None, *, convex: bool
-) -> tuple[Array, Array]:
-    """Band and coupling of E + Σ U, see Assembly.hessian."""
-    _, band, coupling = assembly.hessian(x, stiffness, convex=convex)
+) -> Array:
+    """Blocks of the Hessian of E + Σ U, see Assembly.hessian."""
+    _, blocks = assembly.hessian(x, stiffness, convex=convex)
     if extra is not None:
-        assembly.add_blocks(band, extra.blocks(x, convex=convex))
-    return band, coupling
+        blocks[assembly.pattern.diagonal] += extra.blocks(x, convex=convex)
+    return blocks
 
 
 def linearise(
     assembly: Assembly,
+    solver: LinearSolver,
     x: Array,
     unit_gradients: Array,
     stiffness: Array,
@@ -284,11 +285,10 @@ def linearise(
         FloatingPointError: not even the projected Hessian is positive definite.
     """
     for exact in (True, False):
-        band, coupling = potential_hessian(assembly, x, stiffness, extra, convex=not exact)
-        assembly.add_diagonal(band, inertia)
-        factor = BandedCholesky.factorise(band)
+        blocks = potential_hessian(assembly, x, stiffness, extra, convex=not exact)
+        factor = solver.factorise(blocks, inertia)
         if factor is not None:
             if not exact:
                 _log.warning("a step ended at a saddle of its potential: its derivatives are approximate")
-            return Linearization(factor, coupling, unit_gradients, inertia, exact)
+            return Linearization(factor, assembly.coupling(blocks), unit_gradients, inertia, exact)
     raise FloatingPointError("the Hessian is not positive definite even without its indefinite parts")

@@ -77,6 +77,7 @@ class ImplicitSimulator(LinearizableSimulator):
             solutions.append(
                 minimise_incremental_potential(
                     self.assembly,
+                    self.solver,
                     *scene,
                     inertia,
                     self.force_scale,

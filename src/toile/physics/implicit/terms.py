@@ -10,12 +10,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from toile.physics.energies.bending import bending_energy
-from toile.physics.energies.shearing import shearing_energy
-from toile.physics.energies.stretching import stretching_energy
+from toile.physics.elements import Elements
 from toile.physics.implicit.assembly import Assembly
 from toile.physics.material import Material
-from toile.physics.step_terms import Elements, ElementTerm, StepContext, StepTerm, VertexTerm
+from toile.physics.step_terms import ElementTerm, StepContext, StepTerm, VertexTerm
 
 Array = NDArray[np.float64]
 
@@ -90,13 +88,7 @@ class SceneTerms:
     def prepare(self, assembly: Assembly) -> None:
         """Give the assembly the elements of this step."""
         if self.elements is not None:
-            e = self.elements
-            assembly.set_elements(
-                (e.stretching.numpy(), e.shearing.numpy(), e.bending.numpy()),
-                e.rest_lengths.numpy(),
-                e.rest_corner_angles.numpy(),
-                e.rest_straight_angles.numpy(),
-            )
+            assembly.set_elements(self.elements)
 
 
 def split(terms: Sequence[StepTerm]) -> tuple[list[VertexTerm], list[ElementTerm]]:
@@ -117,7 +109,7 @@ def vertex_energy(terms: Sequence[VertexTerm], positions: Tensor, now: StepConte
 
 def changed_elements(terms: Sequence[ElementTerm], now: StepContext) -> Elements:
     """Elements after all the terms."""
-    elements = Elements.of(now.cloth)
+    elements = now.cloth.energies.elements()
     for term in terms:
         elements = term.elements(elements, now)
     return elements
@@ -127,7 +119,7 @@ def term_forces(terms: Sequence[StepTerm], now: StepContext, positions: Tensor) 
     """Force of the vertex terms, and internal force if there are element terms, (N, 3) [N].
 
     Differentiable with respect to everything in ``now`` and the numbers inside the terms, except for
-    Y, S and B as such and the new positions: those the step's own adjoint takes care of.
+    stiffnesses as such and the new positions: those the step's own adjoint takes care of.
 
     Args:
         terms: see StepTerm.
@@ -139,7 +131,11 @@ def term_forces(terms: Sequence[StepTerm], now: StepContext, positions: Tensor) 
         at = positions.detach().requires_grad_()
         energy = vertex_energy(vertex_terms, at, now).sum()
         if element_terms:
-            energy = energy + _internal_energy(at, changed_elements(element_terms, now), now)
+            # No gradients by the coefficients as such.
+            coefficients = now.cloth.energies.coefficients(now.material.values[0]).detach()
+            energy = energy + now.cloth.energies.energy(
+                at, coefficients, changed_elements(element_terms, now)
+            )
         return -_gradient(energy, at, graph=True)
 
 
@@ -147,9 +143,7 @@ def depends_on_gradients(terms: Sequence[StepTerm], now: StepContext) -> bool:
     """Whether anything that a term's force depends on requires gradients."""
     inputs = [
         now.cloth.masses,
-        now.material.stretching,
-        now.material.shearing,
-        now.material.bending,
+        now.material.values,
         now.positions,
         now.velocities,
         now.anchors,
@@ -157,17 +151,6 @@ def depends_on_gradients(terms: Sequence[StepTerm], now: StepContext) -> bool:
         *(term.values for term in terms),
     ]
     return any(tensor.requires_grad for tensor in inputs)
-
-
-def _internal_energy(positions: Tensor, elements: Elements, now: StepContext) -> Tensor:
-    """Energy () [J] of all elements; no gradients by Y, S and B."""
-    stencils, material = now.cloth.stencils, now.material
-    y, s, b = (k.detach() for k in (material.stretching, material.shearing, material.bending))
-    return (
-        stretching_energy(positions, stencils.edges, elements.rest_lengths, y * elements.stretching)
-        + shearing_energy(positions, stencils.corners, elements.rest_corner_angles, s * elements.shearing)
-        + bending_energy(positions, stencils.straights, b * elements.bending, elements.rest_straight_angles)
-    )
 
 
 class TermMemory:
@@ -184,14 +167,14 @@ class TermMemory:
 
     def __init__(self, terms: Sequence[StepTerm], now: StepContext, positions: Tensor) -> None:
         plain = now.detached()
-        material = torch.cat((plain.material.stretching, plain.material.shearing, plain.material.bending))
         self._leaves = [
-            t.clone().requires_grad_() for t in (plain.positions, plain.velocities, plain.anchors, material)
+            t.clone().requires_grad_()
+            for t in (plain.positions, plain.velocities, plain.anchors, plain.material.values[0])
         ]
         x, v, anchors, material = self._leaves
         leaf = replace(
             plain,
-            material=Material(*material.split(1)),
+            material=Material(plain.material.parameters, material[None]),
             positions=x,
             velocities=v,
             anchors=anchors,
@@ -206,7 +189,7 @@ class TermMemory:
         return sum(map(len, self.values))
 
     def tangent(self, x: Array, v: Array, anchors: Array, stiffness: Array, values: Array) -> Array:
-        """Change of the force (N, 3) for changes of x_n, v_n, anchors, (Y, S, B) and all values (n,).
+        """Change of the force (N, 3) for changes of x_n, v_n, anchors, material (P,) and all values (n,).
 
         No values, (0,), stands for no change of them.
         """
@@ -226,7 +209,7 @@ class TermMemory:
         return found
 
     def adjoint(self, gradient: Array) -> tuple[Array, Array, Array, Array, Array]:
-        """Gradients by x_n, v_n, anchors, (Y, S, B) and all values for one by the force (N, 3)."""
+        """Gradients by x_n, v_n, anchors, material (P,) and all values for one by the force (N, 3)."""
         found = [g.detach().numpy() for g in self._adjoint(torch.from_numpy(gradient), graph=False)]
         values: Array = np.concatenate(found[4:]) if found[4:] else np.zeros(0)
         return found[0], found[1], found[2], found[3], values

@@ -164,13 +164,19 @@ class SurrogateSimulator(LinearizableSimulator):
         linearization: Linearization | None = None
         if linearize:
             unit_gradients = self.assembly.gradients(positions)
-            linearization = linearise(self.assembly, positions, unit_gradients, stiffness, inertia)
+            linearization = linearise(
+                self.assembly, self.solver, positions, unit_gradients, stiffness, inertia
+            )
         return StepSolution(positions, StepStatus.CONVERGED, 0, residual, linearization)
 
 
 def _checked_grid(cloth: Cloth) -> tuple[int, int]:
-    if cloth.grid is None:
-        raise ValueError("cloth: the surrogate expects a grid, got a general mesh")
+    names = [term.name for term in cloth.energies]
+    if cloth.grid is None or names != ["stretching", "shearing", "bending"]:
+        raise ValueError(
+            "cloth: the surrogate expects a grid with stretching, shearing and bending, got "
+            f"{'a general mesh' if cloth.grid is None else 'a grid'} with {', '.join(names)}"
+        )
     if min(cloth.grid) < _SMALLEST_GRID:
         raise ValueError(
             f"cloth: the surrogate expects a grid of at least {_SMALLEST_GRID}×{_SMALLEST_GRID}, "

@@ -168,7 +168,7 @@ class TrackingRecipe(Recipe):
         self._stage = self._term = None
         p = reconstruction.parameters
         self._relative_mass = (reconstruction.cloth.masses / p.units.mass)[:, None]
-        self._start_stiffness = np.array([p.get_parameter(k).item() for k in ClothParameters.STIFFNESSES])
+        self._start_stiffness = p.stiffness().numpy()
 
     def cycle(self, reconstruction: Reconstruction, index: int) -> CycleReport:
         """See Recipe."""
@@ -285,16 +285,15 @@ class TrackingRecipe(Recipe):
     def _settle(self, reconstruction: Reconstruction, *, last_window: bool) -> None:
         """Note stiffness, wind and effects of this window; after the last one, return to their mean."""
         p, effects = reconstruction.parameters, reconstruction.effects
-        stiffness = [p.get_parameter(name).item() for name in ClothParameters.STIFFNESSES]
+        stiffness = p.stiffness().numpy()
         self._walk.append(np.concatenate((np.log(stiffness), p.wind.detach().numpy(), effects.current())))
         if not last_window:
             return
         mean = np.mean(self._walk[len(self._walk) // 2 :], axis=0)
-        wind, values = mean[3:6], mean[6:]
+        stiffness, wind, values = np.split(mean, [len(stiffness), len(stiffness) + 3])
         self._walk = []
         with torch.no_grad():
-            for name, value in zip(ClothParameters.STIFFNESSES, np.exp(mean[:3]), strict=True):
-                p.get_parameter(name).fill_(float(value))
+            p.set_stiffness(np.exp(stiffness).tolist())
             if len(effects):
                 p.turbulence.add_(force_change(reconstruction, values, wind))
             else:

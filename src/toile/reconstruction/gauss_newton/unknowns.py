@@ -93,7 +93,7 @@ class WindowUnknowns:
     Args:
         reconstruction: holds the current parameters.
         priors: see Priors.
-        start_stiffness: (3,) Y, S, B in network units at the start of the fit.
+        start_stiffness: in network units at the start of the fit.
         first, last: frames; the motion up to ``first`` is fixed.
     """
 
@@ -110,7 +110,7 @@ class WindowUnknowns:
         self._relative_mass = masses[:, None] / reconstruction.parameters.units.mass
         units = reconstruction.parameters.units
         self._interior_mass = units.mass
-        self._stiffness_units = np.array([units.stretching, units.energy, units.energy])
+        self._stiffness_units = reconstruction.parameters.stiffness_units.numpy()
         gravity = reconstruction.gravity.numpy()
         # Only a free wind needs them, and where there is no gravity nothing is horizontal.
         self._horizontal = (
@@ -152,7 +152,7 @@ class WindowUnknowns:
         self._stored = p.turbulence.detach().numpy()[self.first : self.last].copy()
         self._turbulence = self._stored / self._relative_mass
         self._anchors = p.anchor_motion.detach().numpy()[self.first : self.last + 1].copy()
-        self._stiffness = np.array([p.get_parameter(name).item() for name in ClothParameters.STIFFNESSES])
+        self._stiffness = p.stiffness().numpy()
         self._wind = p.wind.detach().numpy().copy()
 
     def start(self) -> Vector:
@@ -184,7 +184,7 @@ class WindowUnknowns:
         return np.where(self._anchor_free > 0, motion, self._anchors)
 
     def stiffness(self, z: Vector) -> Array:
-        """Y, S, B in network units."""
+        """Stiffnesses in network units."""
         if self.priors.stiffness is None:
             return self._stiffness
         return self._mean_stiffness * np.exp(self.priors.stiffness * z["stiffness"])
@@ -292,7 +292,7 @@ class WindowUnknowns:
         return self.turbulence(z) * self._relative_mass
 
     def si_stiffness(self, z: Vector) -> Array:
-        """Y [N/m], S [N·m], B [N·m]."""
+        """Stiffnesses in SI units."""
         return self.stiffness(z) * self._stiffness_units
 
     def tangent(self, z: Vector, d: Vector) -> Perturbation:
@@ -304,7 +304,7 @@ class WindowUnknowns:
         blown = np.zeros(3)
         if self.priors.wind is not None:
             blown = self.priors.wind * d["wind"] @ self._horizontal
-        stiffness = np.zeros(3)
+        stiffness = np.zeros_like(self._stiffness)
         if self.priors.stiffness is not None:
             stiffness = self.si_stiffness(z) * self.priors.stiffness * d["stiffness"]
         anchors = np.zeros_like(self._anchors)
@@ -367,8 +367,7 @@ class WindowUnknowns:
                     self.turbulence(z) * self._relative_mass
                 )
             p.anchor_motion[self.first : self.last + 1] = torch.from_numpy(self.anchor_motion(z))
-            for name, value in zip(ClothParameters.STIFFNESSES, self.stiffness(z), strict=True):
-                p.get_parameter(name).fill_(float(value))
+            p.set_stiffness(self.stiffness(z).tolist())
             # The frames before the window keep the forces that have brought the cloth to where it starts.
             p.turbulence[: self.first] += drift
             p.wind.copy_(torch.from_numpy(self.wind(z)))

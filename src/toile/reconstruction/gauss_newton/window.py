@@ -151,11 +151,11 @@ def minimise_window(
         elif simulator.time_step != nominal.time_step:
             # The positions before are what they are; another clock makes other velocities of them.
             state = replace(start, velocities=start.velocities * (nominal.time_step / simulator.time_step))
-        stiffness = torch.from_numpy(unknowns.si_stiffness(z))[:, None]
+        stiffness = torch.from_numpy(unknowns.si_stiffness(z))[None]
         result = rollout(
             simulator,
             state,
-            Material(stiffness[0], stiffness[1], stiffness[2]),
+            Material(simulator.cloth.energies.parameters, stiffness),
             torch.from_numpy(given.forces)[None],
             torch.from_numpy(anchors)[None],
             frame_steps,

@@ -23,8 +23,8 @@ from toile.generation.reality.making import (
 )
 from toile.generation.reality.simulation import simulate_reality
 from toile.generation.simulation import Sheet
+from toile.physics.cloth import grid_material
 from toile.physics.implicit.newton import NewtonSettings
-from toile.physics.material import Material
 
 SETUP = RealitySettings(
     grid=(7, 7),
@@ -45,7 +45,7 @@ def sheet() -> Sheet:
     u, v = (torch.linspace(0, s, n, dtype=torch.float64) for s, n in zip(SIZE, GRID, strict=True))
     x, y = torch.meshgrid(u, v, indexing="ij")
     pose = torch.stack((0.97 * x, y, 1 + 0.04 * torch.sin(9 * x) + 0.02 * torch.cos(5 * y)), -1)
-    material = Material(*(torch.tensor([k], dtype=torch.float64) for k in (300.0, 2e-3, 2e-4)))
+    material = grid_material(*(torch.tensor([k], dtype=torch.float64) for k in (300.0, 2e-3, 2e-4)))
     return Sheet.of(pose, SIZE, 0.15, (0, (GRID[0] - 1) * GRID[1]), material)
 
 

@@ -6,18 +6,19 @@ import pytest
 import torch
 
 from toile.errors import InputError
-from toile.physics.cloth import grid_cloth
+from toile.physics.cloth import grid_cloth, grid_material
 from toile.physics.energies.bending import bending_energy
-from toile.physics.energies.shearing import shearing_energy
+from toile.physics.energies.shearing import Shearing, shearing_energy
 from toile.physics.energies.stretching import stretching_energy
+from toile.physics.energies.term import InternalEnergy
 from toile.physics.hybrid.simulator import HybridSimulator
 from toile.physics.implicit.integrators import BDF2, BackwardEuler
 from toile.physics.implicit.newton import NewtonSettings
 from toile.physics.implicit.simulator import ImplicitSimulator
-from toile.physics.material import Material
 from toile.physics.rollout import rollout
 from toile.physics.state import State
 from toile.physics.surrogate.simulator import SurrogateSimulator
+from toile.physics.topology import Topology
 
 GRID, SIZE, STEP = (12, 12), (0.3, 0.3), 0.01
 GRAVITY = torch.tensor([0.0, 8.0, 5.6], dtype=torch.float64)
@@ -28,6 +29,11 @@ def cloth_of(density=0.15, **changes):
     return dataclasses.replace(cloth, **changes) if changes else cloth
 
 
+def skewed(energies):
+    stretching, shearing, bending = energies
+    return InternalEnergy((stretching, Shearing(shearing.stencil, 0.9 * shearing.rest), bending))
+
+
 def flat():
     i, j = torch.meshgrid(*(torch.linspace(0, s, n) for s, n in zip(SIZE, GRID, strict=True)), indexing="ij")
     return torch.stack((j, i, torch.zeros_like(i)), -1).double().reshape(1, -1, 3)
@@ -36,7 +42,7 @@ def flat():
 def move(simulator, steps=30, scale=1.0):
     """A sheet that swings down from its two upper corners."""
     x = flat()
-    material = Material(*(scale * torch.tensor([k], dtype=torch.float64) for k in (100.0, 3e-4, 3e-5)))
+    material = grid_material(*(scale * torch.tensor([k], dtype=torch.float64) for k in (100.0, 3e-4, 3e-5)))
     forces = (simulator.cloth.masses[:, None] * GRAVITY).expand(1, steps, -1, -1).contiguous()
     anchors = x[:, None, simulator.cloth.held].expand(1, steps + 1, -1, -1).contiguous()
     state = State.start(x, 0 * x, simulator.time_step, simulator.n_past)
@@ -98,10 +104,17 @@ def test_the_residual_is_the_out_of_balance_force():
 @pytest.mark.parametrize(
     ("cloth", "message"),
     [
-        (lambda: cloth_of(grid=None), "expects a grid, got a general mesh"),
+        (
+            lambda: cloth_of(topology=Topology(144, cloth_of().topology.faces)),
+            "a general mesh with stretching",
+        ),
+        (
+            lambda: cloth_of(energies=InternalEnergy(cloth_of().energies.terms[:2])),
+            "a grid with stretching, she",
+        ),
         (lambda: grid_cloth((3, 9), (0.1, 0.3), 0.15, ()), "at least 4×4"),
         (lambda: cloth_of(masses=torch.linspace(1, 2, 144).double()), "uniform areal density"),
-        (lambda: cloth_of(rest_corner_angles=0.9 * cloth_of().rest_corner_angles), "right angles"),
+        (lambda: cloth_of(energies=skewed(cloth_of().energies)), "right angles"),
     ],
 )
 def test_cloth_that_it_does_not_know(cloth, message):

@@ -14,6 +14,9 @@ from scipy.linalg import cython_lapack
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
+from toile.physics.implicit.linear_solvers.base import Factor, LinearSolver
+from toile.physics.implicit.linear_solvers.pattern import BlockPattern
+
 Array = NDArray[np.float64]
 
 
@@ -100,3 +103,72 @@ class BandedCholesky:
             ctypes.byref(info),
         )
         return x
+
+
+class BandedFactor(Factor):
+    """See Factor.
+
+    Attributes:
+        cholesky: of the band.
+        order: (3N,) unknown of the band that each coordinate of each vertex is.
+        free: (N, 3) 1 where a vertex may move, else 0.
+    """
+
+    def __init__(self, cholesky: BandedCholesky, order: NDArray[np.int64] | None, free: Array) -> None:
+        self.cholesky, self.order, self.free = cholesky, order, free
+
+    def solve(self, right: Array) -> Array:
+        """See Factor."""
+        flat = (right * self.free).reshape(*right.shape[:-2], -1)
+        if self.order is not None:
+            flat, own = np.empty_like(flat), flat
+            flat[..., self.order] = own
+        found = self.cholesky.solve(flat)
+        if self.order is not None:
+            found = found[..., self.order]
+        return found.reshape(right.shape)
+
+
+class BandedSolver(LinearSolver):
+    """Band storage after a reduction of the bandwidth: the fastest for narrow sheets.
+
+    Attributes:
+        half_bandwidth: of the unknowns.
+    """
+
+    def __init__(self, pattern: BlockPattern, pinned: NDArray[np.int64]) -> None:
+        super().__init__(pattern, pinned)
+        n = pattern.n_vertices
+        position, half = bandwidth_order(n, np.column_stack((pattern.rows, pattern.columns)))
+        self.half_bandwidth = 3 * half + 2
+        self.order = (3 * position[:, None] + np.arange(3)).reshape(-1)
+        self._natural = bool((position == np.arange(n)).all())
+        self.free = np.ones((n, 3))
+        self.free[self.pinned] = 0.0
+        self._pinned_unknowns = (3 * position[self.pinned][:, None] + np.arange(3)).reshape(-1)
+        is_free = self.free[:, 0] > 0
+        kept = np.flatnonzero(is_free[pattern.rows] & is_free[pattern.columns])
+        row, column = position[pattern.rows[kept]], position[pattern.columns[kept]]
+        r = np.broadcast_to(3 * row[:, None, None] + np.arange(3)[:, None], (len(kept), 3, 3))
+        c = np.broadcast_to(3 * column[:, None, None] + np.arange(3), (len(kept), 3, 3))
+        # A block above the band's diagonal is stored as its transpose; of a diagonal block one half is.
+        lower, upper = np.maximum(r, c), np.minimum(r, c)
+        stored = (row != column)[:, None, None] | (r >= c)
+        source = (9 * kept[:, None] + np.arange(9)).reshape(-1, 3, 3)
+        self._source = source[stored]
+        self._target = (upper * (self.half_bandwidth + 1) + lower - upper)[stored]
+
+    def factorise(self, blocks: Array, diagonal: Array) -> BandedFactor | None:
+        """See LinearSolver."""
+        cholesky = BandedCholesky.factorise(self.band(blocks, diagonal))
+        if cholesky is None:
+            return None
+        return BandedFactor(cholesky, None if self._natural else self.order, self.free)
+
+    def band(self, blocks: Array, diagonal: Array) -> Array:
+        """The matrix in LAPACK's lower band storage, (3N, b + 1); 1 on the diagonal of pinned vertices."""
+        band = np.zeros((3 * self.pattern.n_vertices, self.half_bandwidth + 1))
+        band.reshape(-1)[self._target] = blocks.reshape(-1)[self._source]
+        band[self.order, 0] += (diagonal[:, None] * self.free).reshape(-1)
+        band[self._pinned_unknowns, 0] = 1.0
+        return band

@@ -1,0 +1,1 @@
+"""Direct solvers for the symmetric systems of Newton's method, behind one interface."""
