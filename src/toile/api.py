@@ -58,6 +58,7 @@ from toile.effects.catalogue import also_known
 from toile.errors import InputError
 from toile.evaluation.evaluate import EvaluationResult
 from toile.evaluation.evaluate import evaluate as _evaluate
+from toile.geometry.camera import Camera
 from toile.geometry.mesh import grid_faces
 from toile.physics.units import NetworkUnits
 from toile.reconstruction.effects import FitEffects
@@ -134,7 +135,7 @@ class Pictures:
         silhouettes: coverage (F, h, w) in [0, 1].
         depth: (F, h, w) [m], 0 where there is no cloth.
         positions: what was drawn, (F, H, W, 3) [m].
-        scene: whose camera and texture were used.
+        scene: whose texture, and as a rule camera, were used.
     """
 
     rgb: Array
@@ -443,7 +444,11 @@ def simulate(
 
 
 def render(
-    scene: Scene | str | Path, positions: Run | Motion | npt.ArrayLike, *, settings: Settings = None
+    scene: Scene | str | Path,
+    positions: Run | Motion | npt.ArrayLike,
+    *,
+    camera: Camera | None = None,
+    settings: Settings = None,
 ) -> Pictures:
     """Draw positions with the texture and the camera of a scene.
 
@@ -451,6 +456,8 @@ def render(
         scene: its camera, texture and texture coordinates are used.
         positions: (F, H, W, 3) or (H, W, 3) [m], camera frame; a Run brings the texture coordinates that it
             has fitted.
+        camera: that is looked through; None for the scene's. With another one, ``Pictures.as_scene`` makes a
+            scene whose camera is not what it is taken for.
         settings: of ``renderer`` in ``toile fit``, e.g. ``{"renderer.supersampling": 2}``.
 
     Returns:
@@ -469,10 +476,11 @@ def render(
     with called("fit", ["scene.name=unused", *lines]) as cfg:
         renderer = instantiate(cfg.renderer)
     faces, flat = grid_faces(*loaded.grid), uv.reshape(-1, 2)
+    through = loaded.camera if camera is None else camera
     drawn = []
     with torch.no_grad():
         for frame in x.reshape(len(x), 1, -1, 3):
-            drawn.append(renderer.render(frame, faces, flat, loaded.texture, loaded.camera))
+            drawn.append(renderer.render(frame, faces, flat, loaded.texture, through))
     return Pictures(
         rgb=torch.cat([images.rgb for images in drawn]).numpy(),
         silhouettes=torch.cat([images.silhouette for images in drawn]).numpy(),
