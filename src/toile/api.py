@@ -45,6 +45,7 @@ from toile.cli.from_python import (
     Settings,
     called,
     effect_overrides,
+    names_in,
     overrides,
     scene_overrides,
     setting_name,
@@ -521,7 +522,7 @@ def fit(
         SimulationError: the motion could not be simulated.
         KeyboardInterrupt: it was interrupted; how to continue has been printed.
     """
-    task = _task("fit", scene, settings, folder, effect_overrides(effects, "effect"))
+    task = _task("fit", scene, settings, folder, effects, "effect")
     with called("fit", task.arguments, task.folder) as cfg, alone_in(output_folder()):
         task.write_scene()
         run = finished_fit(cfg).folder
@@ -609,7 +610,7 @@ def diagnose(
         SimulationError: the motion could not be simulated.
         KeyboardInterrupt: it was interrupted; how to continue has been printed.
     """
-    task = _task("diagnose", scene, settings, folder, effect_overrides(effects, "candidates"))
+    task = _task("diagnose", scene, settings, folder, effects, "candidates")
     with (
         also_known(effects),
         called("diagnose", task.arguments, task.folder) as cfg,
@@ -684,14 +685,24 @@ class _Task:
 
 
 def _task(
-    command: str, scene: Scene | str | Path, settings: Settings, folder: str | Path | None, effects: list[str]
+    command: str,
+    scene: Scene | str | Path,
+    settings: Settings,
+    folder: str | Path | None,
+    effects: Sequence[Effect],
+    group: str,
 ) -> _Task:
+    # Settings come last and win over how a scene was loaded.
     lines = _without(overrides(settings), ("scene", "scene.name", "hydra.run.dir", "resume"), command)
+    if effects:
+        added = effect_overrides(effects, group)
+        with called(command, [*scene_overrides("unused"), *lines]) as cfg:
+            _check_once([*names_in(cfg, group), *(str(effect.NAME) for effect in effects)])
+        lines = [*lines, *added]
     place = None if folder is None else Path(folder)
     known = _where(scene)
     if known is not None:
-        # What the settings say comes last and wins over how a scene was loaded.
-        return _Task([*known, *lines, *effects], place)
+        return _Task([*known, *lines], place)
     assert isinstance(scene, Scene)
     if Path(scene.name).name != scene.name:
         raise InputError(
@@ -701,12 +712,22 @@ def _task(
             got=repr(scene.name),
         )
     if place is None:
-        with called(command, [*scene_overrides(scene.name), *lines, *effects]):
+        with called(command, [*scene_overrides(scene.name), *lines]):
             place = output_folder()
     target = place.absolute() / "scene" / scene.name
     as_written = {"scene.crop_margin": None, "scene.minimum_component": 0.0}
-    arguments = [*scene_overrides(target), *overrides(as_written), *lines, *effects]
+    arguments = [*scene_overrides(target), *overrides(as_written), *lines]
     return _Task(arguments, place, (scene, target))
+
+
+def _check_once(names: list[str]) -> None:
+    if len(set(names)) < len(names):
+        raise InputError(
+            "An effect acts twice",
+            where="effects",
+            expected="each once, by settings or from Python",
+            got=", ".join(names),
+        )
 
 
 def _where(scene: Scene | str | Path) -> list[str] | None:

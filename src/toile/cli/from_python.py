@@ -8,8 +8,10 @@ from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
+import torch
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
+from hydra.core.singleton import Singleton
 from hydra.errors import HydraException, InstantiationException
 from hydra.utils import get_object
 from omegaconf import DictConfig, open_dict, read_write
@@ -111,23 +113,35 @@ def called(command: str, arguments: Sequence[str], folder: Path | None = None) -
         InputError: a setting is unknown or of no use; also in place of Hydra's own errors in the block.
     """
     given = [*arguments, *([] if folder is None else [f"hydra.run.dir={quoted(str(folder))}"])]
-    hydra, config = GlobalHydra.instance(), HydraConfig.instance()
-    outer = hydra.hydra, config.cfg
+    with _hydra_of_its_own(), _plain_errors(command, given):
+        whole = composed(command, given).cfg
+        with read_write(whole.hydra), open_dict(whole.hydra):
+            whole.hydra.runtime.output_dir = str(Path(str(whole.hydra.run.dir)).absolute())
+        HydraConfig.instance().set_config(whole)
+        cfg = deepcopy(whole)
+        with read_write(cfg), open_dict(cfg):
+            del cfg["hydra"]
+        check_settings(cfg)
+        yield cfg
+
+
+@contextmanager
+def _hydra_of_its_own() -> Iterator[None]:
+    """Hydra keeps what it is working on in singletons; the caller may be such a work."""
+    # get_state() copies everything there is and looks for plugins again, which takes longer than composing.
+    kinds, instances = (GlobalHydra, HydraConfig), Singleton._instances
+    outer = {kind: instances.pop(kind) for kind in kinds if kind in instances}
     try:
-        with _plain_errors(command, given):
-            hydra.hydra = None
-            whole = composed(command, given).cfg
-            with read_write(whole.hydra), open_dict(whole.hydra):
-                whole.hydra.runtime.output_dir = str(Path(str(whole.hydra.run.dir)).absolute())
-            config.cfg = None
-            config.set_config(whole)
-            cfg = deepcopy(whole)
-            with read_write(cfg), open_dict(cfg):
-                del cfg["hydra"]
-            check_settings(cfg)
-            yield cfg
+        yield
     finally:
-        hydra.hydra, config.cfg = outer
+        for kind in kinds:
+            instances.pop(kind, None)
+        instances.update(outer)
+
+
+def names_in(cfg: DictConfig, group: str) -> list[str]:
+    """Names of the effects that a part of a configuration holds."""
+    return [str(name) for name, effect in (cfg.get(group) or {}).items() if effect is not None]
 
 
 def setting_name(override: str) -> str:
@@ -172,7 +186,7 @@ def _is_made_by(effect: Effect, target: str, values: Mapping[str, float]) -> boo
     if kind is not type(effect):
         return False
     mine, its = vars(effect).copy(), vars(again).copy()
-    return bool((mine.pop("values") == its.pop("values")).all()) and mine == its
+    return torch.equal(mine.pop("values"), its.pop("values")) and mine == its
 
 
 def _lines(key: str, value: object) -> Iterator[str]:
