@@ -129,7 +129,8 @@ def called(command: str, arguments: Sequence[str], folder: Path | None = None) -
 def _hydra_of_its_own() -> Iterator[None]:
     """Hydra keeps what it is working on in singletons; the caller may be such a work."""
     # get_state() copies everything there is and looks for plugins again, which takes longer than composing.
-    kinds, instances = (GlobalHydra, HydraConfig), Singleton._instances
+    kinds: tuple[type, ...] = (GlobalHydra, HydraConfig)
+    instances = Singleton._instances
     outer = {kind: instances.pop(kind) for kind in kinds if kind in instances}
     try:
         yield
