@@ -37,6 +37,7 @@ html_css_files = ["site.css"]
 html_title = f"toile {release}"
 html_theme_options = {"navigation_with_keys": True}
 html_show_sphinx = False
+html_show_copyright = False
 html_copy_source = False
 
 myst_enable_extensions = ["dollarmath"]
@@ -60,6 +61,8 @@ def formula(text: str, display: str) -> str:
     latex2mathml knows neither sizes of brackets nor names of operators; both are matters of looks alone.
     """
     plain = re.sub(r"\\(?:big|Big|bigg|Bigg)[lrm]?(?![a-z])", "", text)
+    # A name of a function stands apart from its argument.
+    plain = re.sub(r"\\log (?=[a-z])", r"\\log\\, ", plain)
     plain = plain.replace(r"\tfrac", r"\frac").replace(r"\operatorname", r"\mathrm")
     return convert(plain, display=display)
 
