@@ -39,6 +39,14 @@ demo: setup ## Reconstruct a generated scene: table and result page
 test: setup ## Run the tests; warnings are errors
 	$(BIN)/python -m pytest -n auto --maxprocesses 8 --dist loadfile
 
+.PHONY: notebooks
+notebooks: setup ## Run the notebooks; their outputs go to build/notebooks
+	$(BIN)/python -W error notebooks/run.py
+
+.PHONY: docs
+docs: setup ## Build the documentation site, warnings are errors: build/site/index.html
+	$(BIN)/python -m sphinx -W --keep-going -q -b html -d build/doctrees docs build/site
+
 .PHONY: lint
 lint: setup ## Check style, types and the layers
 	$(BIN)/ruff check .
@@ -161,5 +169,5 @@ constraints: setup ## Pin what is installed in .venv
 
 .PHONY: clean
 clean: ## Remove caches and build products; outputs, data and .venv stay
-	rm -rf build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
+	rm -rf build dist docs/notebooks .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
 	find src tests benchmarks -name __pycache__ -prune -exec rm -rf {} +

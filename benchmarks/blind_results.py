@@ -564,11 +564,11 @@ def write_results(
             changed = put_section(benchmarks.read_text(), "bench_diagnosis", times_text(times))
             paths.append(write_text(benchmarks, changed))
     paths.append(write_text(results / f"{stem}.md", document(stem, blind, predictions, marks, leak, times)))
-    page = docs / "diagnosis.md"
+    page = docs / "diagnosis" / "validation.md"
     if stem == usual and page.is_file():
         summary = shown(measures_table(everything.drop(columns="generator")))
-        summary += f"\n\nAll tables: [results/{stem}.md](results/{stem}.md).\n\n"
-        summary += f"![Shrink of the held-out error](images/{stem}_shrink.png)\n\n"
+        summary += f"\n\nAll tables: [results/{stem}.md](../results/{stem}.md).\n\n"
+        summary += f"![Shrink of the held-out error](../images/{stem}_shrink.png)\n\n"
         summary += shrink_caption(moving_singles(marks))
         text = page.read_text()
         changed = put_between(text, "blind", summary)

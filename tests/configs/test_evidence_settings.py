@@ -27,7 +27,7 @@ def use(*overrides: str, command: str = "diagnose"):
 
 
 def test_the_shipped_calibration_is_for_the_default_settings() -> None:
-    """If settings were added or changed on purpose: make it anew, see docs/diagnosis.md, "Probabilities"."""
+    """If settings were added or changed on purpose: make it anew, see docs/diagnosis/usage.md."""
     found = use()
     assert found.differences == ()
     assert found.calibrated

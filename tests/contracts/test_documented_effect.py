@@ -1,4 +1,4 @@
-"""The effect that docs/diagnosis.md makes, taken from there and used."""
+"""The effect that docs/extending.md makes, taken from there and used."""
 
 import re
 import types
@@ -20,7 +20,7 @@ from toile.physics.implicit.simulator import ImplicitSimulator
 from toile.physics.rollout import rollout
 from toile.physics.state import State
 
-DOCS = Path(__file__).parents[2] / "docs" / "diagnosis.md"
+DOCS = Path(__file__).parents[2] / "docs" / "extending.md"
 FRAMES, FPS, SUBSTEPS, SIDE = 6, 25.0, 4, 0.4
 GRAVITY = torch.tensor([0.0, 9.81, 0.0], dtype=torch.float64)
 

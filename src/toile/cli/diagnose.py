@@ -50,36 +50,63 @@ from toile.scenes.scene import Scene
 def run(cfg: DictConfig) -> None:
     """Diagnose, write diagnosis.json, and say the verdict; an interrupted diagnosis can be continued."""
     folder = create_run_folder(output_folder())
-    config = resolved_yaml(cfg)
-    if folder.config.is_file():
-        check_settings_as_before(folder, config)
-    answer = folder.path / DIAGNOSIS_FILE
-    # The page is the last thing a diagnosis writes.
-    if answer.is_file() and folder.page.is_file():
+    report = finished_before(cfg, folder)
+    if report is not None:
         print_path(folder.path, ": finished before with the same settings")
-        _say(folder, GapReport.read(answer))
+        _say(folder, report)
         return
     with Progress(
         TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), console=Console(stderr=True)
     ) as bar:
         task = bar.add_task("loading", total=1.0)
-        problem = _problem(cfg)
-        # What is refused leaves no settings behind that another try would have to agree with.
-        write_config(folder, config)
-        write_overrides(folder, HydraConfig.get().overrides.task)
-        write_git_revision(folder)
-        try:
-            report = problem.diagnosed(
-                folder.path, lambda what, share: bar.update(task, description=what, completed=share)
-            )
-        except KeyboardInterrupt:
-            print_path(f"toile diagnose resume={folder.path}", " continues")
-            raise
-        bar.update(task, description="done", completed=1.0)
+        report = finished_diagnosis(
+            cfg, folder, lambda what, share: bar.update(task, description=what, completed=share)
+        )
+    _say(folder, report)
+
+
+def finished_before(cfg: DictConfig, folder: RunFolder) -> GapReport | None:
+    """The answer of an earlier call; None where there is something left to do.
+
+    Raises:
+        InputError: the folder holds a diagnosis with other settings.
+    """
+    if folder.config.is_file():
+        check_settings_as_before(folder, resolved_yaml(cfg))
+    answer = folder.path / DIAGNOSIS_FILE
+    # The page is the last thing a diagnosis writes.
+    return GapReport.read(answer) if answer.is_file() and folder.page.is_file() else None
+
+
+def finished_diagnosis(
+    cfg: DictConfig, folder: RunFolder, progress: Callable[[str, float], None]
+) -> GapReport:
+    """Diagnose and fill the run folder; an interrupted diagnosis can be continued.
+
+    Args:
+        cfg: configuration of the command.
+        folder: of the run.
+        progress: told what is being done, and which share of all is done.
+
+    Raises:
+        InputError: the scene, or a setting, is of no use.
+        KeyboardInterrupt: it was interrupted; how to continue has been printed.
+    """
+    problem = _problem(cfg)
+    # What is refused leaves no settings behind that another try would have to agree with.
+    write_config(folder, resolved_yaml(cfg))
+    write_overrides(folder, HydraConfig.get().overrides.task)
+    write_git_revision(folder)
+    try:
+        report = problem.diagnosed(folder.path, progress)
+    except KeyboardInterrupt:
+        print_path(f"toile diagnose resume={folder.path}", " continues")
+        raise
+    progress("done", 1.0)
     arrays = DiagnosisArrays.read(folder.path, report)
     write_diagnosis_dashboard(folder.path / "tensorboard", report, arrays)
     write_diagnosis_page(folder.page, report, arrays, problem.reconstruction.scene)
-    _say(folder, report)
+    return report
 
 
 def _say(folder: RunFolder, report: GapReport) -> None:

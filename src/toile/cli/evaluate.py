@@ -14,7 +14,13 @@ from toile.cli.configuration import instantiate
 from toile.cli.run_scene import run_scene
 from toile.cli.terminal import print_evaluation, print_path
 from toile.evaluation.evaluate import EvaluationResult, evaluate
-from toile.reports.run_folder import open_run_folder, read_metrics, read_trajectory, write_metrics
+from toile.reports.run_folder import (
+    RunFolder,
+    open_run_folder,
+    read_metrics,
+    read_trajectory,
+    write_metrics,
+)
 
 KEY = "out_of_balance"
 
@@ -22,6 +28,13 @@ KEY = "out_of_balance"
 def run(cfg: DictConfig) -> None:
     """Evaluate trajectory.npz, print the table, write metrics.json."""
     folder = open_run_folder(Path(cfg.run))
+    result = evaluated(cfg, folder)
+    print_evaluation(result)
+    print_path(store(result, folder))
+
+
+def evaluated(cfg: DictConfig, folder: RunFolder) -> EvaluationResult:
+    """The metrics of a run, with what its fit alone could measure."""
     trajectory = torch.from_numpy(read_trajectory(folder).positions)
     result = evaluate(
         trajectory,
@@ -30,11 +43,16 @@ def run(cfg: DictConfig) -> None:
         seed=cfg.seed,
         n_frames=cfg.n_frames,
     )
-    # What a fit has noted beside its metrics stays.
-    before = read_metrics(folder) if folder.metrics.is_file() else {}
-    result = with_out_of_balance(result, before)
-    print_evaluation(result)
-    print_path(write_metrics(folder, {**before, **result.to_dict()}))
+    return with_out_of_balance(result, _before(folder))
+
+
+def store(result: EvaluationResult, folder: RunFolder) -> Path:
+    """Write metrics.json; what a fit has noted beside its metrics stays."""
+    return write_metrics(folder, {**_before(folder), **result.to_dict()})
+
+
+def _before(folder: RunFolder) -> dict[str, Any]:
+    return read_metrics(folder) if folder.metrics.is_file() else {}
 
 
 def with_out_of_balance(result: EvaluationResult, before: Mapping[str, Any]) -> EvaluationResult:

@@ -6,6 +6,7 @@ import logging
 import math
 import time
 from collections.abc import Callable
+from typing import NamedTuple
 
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
@@ -33,6 +34,7 @@ from toile.reconstruction.parameters import ClothParameters
 from toile.reconstruction.problem import Reconstruction
 from toile.reconstruction.scene_cloth import scene_units
 from toile.reports.run_folder import (
+    RunFolder,
     create_run_folder,
     read_metrics,
     write_config,
@@ -44,12 +46,43 @@ from toile.scenes.scene import Scene
 log = logging.getLogger(__name__)
 
 
+class FinishedFit(NamedTuple):
+    """A run folder with everything in it.
+
+    Attributes:
+        folder: of the run.
+        evaluation: of its trajectory.
+        before: whether an earlier call with the same settings had finished it.
+    """
+
+    folder: RunFolder
+    evaluation: EvaluationResult
+    before: bool
+
+
 @alone
 def run(cfg: DictConfig) -> float | None:
-    """Fit, evaluate, and fill the run folder; an interrupted fit leaves what it has and can be continued.
+    """Fit, and print what came of it.
 
     Returns:
         Mean of the metric named by ``objective``, for the search for settings; None where there is none.
+    """
+    folder, evaluation, before = finished_fit(cfg)
+    if before:
+        print_path(folder.path, ": finished before with the same settings")
+    else:
+        print_evaluation(evaluation)
+        print_path(folder.path)
+        print_path(folder.page)
+    return objective(cfg, evaluation)
+
+
+def finished_fit(cfg: DictConfig) -> FinishedFit:
+    """Fit, evaluate, and fill the run folder; an interrupted fit leaves what it has and can be continued.
+
+    Raises:
+        InputError: the scene, or a setting, is of no use.
+        KeyboardInterrupt: it was interrupted; how to continue has been printed.
     """
     started = time.perf_counter()
     quiet_lightning()
@@ -57,8 +90,7 @@ def run(cfg: DictConfig) -> float | None:
     folder = create_run_folder(output_folder())
     config = resolved_yaml(cfg)
     if is_finished(folder, config):
-        print_path(folder.path, ": finished before with the same settings")
-        return objective(cfg, EvaluationResult.from_dict(read_metrics(folder)))
+        return FinishedFit(folder, EvaluationResult.from_dict(read_metrics(folder)), before=True)
     checkpoint = last_checkpoint(folder, config)
     check_losses_are_used(cfg)
     write_config(folder, config)
@@ -92,10 +124,7 @@ def run(cfg: DictConfig) -> float | None:
     write_final_numbers(cfg, folder, config)
     log.info("writing figures, video and page")
     write_pictures(folder, module, trajectory, evaluation, cfg.report)
-    print_evaluation(evaluation)
-    print_path(folder.path)
-    print_path(folder.page)
-    return objective(cfg, evaluation)
+    return FinishedFit(folder, evaluation, before=False)
 
 
 def _progress_of(fitted: Fitted) -> str:

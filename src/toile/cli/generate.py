@@ -20,6 +20,11 @@ log = logging.getLogger(__name__)
 
 def run(cfg: DictConfig) -> None:
     """Simulate, render, write the folder and print its path."""
+    print_path(written_scene(cfg))
+
+
+def written_scene(cfg: DictConfig) -> Path:
+    """Simulate, render and write a scene; returns its folder."""
     folder = Path(cfg.folder)
     if folder.exists() and not cfg.overwrite:
         # Said before minutes of simulation, not after.
@@ -36,4 +41,4 @@ def run(cfg: DictConfig) -> None:
         )
         progress("writing", 0, None)
         write(scene, truth, folder, overwrite=cfg.overwrite)
-    print_path(folder)
+    return folder

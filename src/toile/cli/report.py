@@ -23,7 +23,7 @@ def run(cfg: DictConfig) -> None:
     folders = [Path(f) for f in cfg.run] if isinstance(cfg.run, ListConfig) else [Path(str(cfg.run))]
     output = None if cfg.output is None else Path(cfg.output)
     if len(folders) == 1 and not _holds_runs(folders[0]):
-        print_path(_run_page(cfg, open_run_folder(folders[0]), output))
+        print_path(written_page(cfg, open_run_folder(folders[0]), output))
     else:
         sweep = read_sweep(folders)
         print_path(write_sweep_page(SweepPage(sweep, output or folders_page(folders, sweep.folder))))
@@ -42,7 +42,8 @@ def _holds_runs(folder: Path) -> bool:
     return any(path.is_dir() for path in folder.iterdir())
 
 
-def _run_page(cfg: DictConfig, folder: RunFolder, output: Path | None) -> Path:
+def written_page(cfg: DictConfig, folder: RunFolder, output: Path | None) -> Path:
+    """Write the page of one run, into its folder if no other file is named."""
     scene = run_scene(cfg, folder, read_trajectory(folder))
     page = result_page(folder, scene, instantiate(cfg.renderer), cfg.pictures)
     return write_result_page(page, output or folder.page)

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import hashlib
 import inspect
+from abc import ABC
 from collections.abc import Iterable, Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from functools import cache, partial
 from importlib.metadata import version
 from importlib.resources import files
+from types import CodeType
 from typing import Any
 
 import numpy as np
 import torch
 from scipy.spatial import cKDTree
+
+from toile.effects.base import Effect
 
 # Parts of the package that have no say in what a diagnosis computes.
 _WITHOUT_INFLUENCE = ("cli", "reports", "training", "generation")
@@ -102,8 +106,41 @@ def _parts(value: object) -> Iterable[memoryview | bytes]:
         case _ if type(value).__module__.startswith("toile."):
             yield f"object {_name(type(value))}".encode()
             yield from _parts(dict(vars(value)))
+        case Effect():  # from outside the package, where its hash of sources does not reach
+            yield f"object {_name(type(value))}".encode()
+            yield from _parts([_code_of(type(value)), type(value).PARAMETERS, type(value).STAGE])
+            yield from _parts(dict(vars(value)))
         case _:
             raise TypeError(f"a {_name(type(value))} has no fingerprint")
+
+
+def _code_of(kind: type) -> dict[str, object]:
+    """What the methods of a class do, those of its bases outside the package among them.
+
+    By their code: a class that was written in a notebook has no file with its source.
+    """
+    found: dict[str, object] = {}
+    for base in kind.__mro__:
+        if base.__module__.startswith("toile.") or base in (object, ABC):
+            continue
+        for name, member in vars(base).items():
+            function = getattr(member, "fget", getattr(member, "__func__", member))
+            if inspect.isfunction(function):
+                found[f"{_name(base)}.{name}"] = _instructions(function.__code__)
+    return found
+
+
+def _instructions(code: CodeType) -> list[object]:
+    constants: list[object] = []
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            constants.append(_instructions(constant))
+        else:
+            # The order of a set of texts is another one in every process.
+            constants.append(
+                sorted(map(repr, constant)) if isinstance(constant, frozenset) else repr(constant)
+            )
+    return [code.co_code, list(code.co_names), list(code.co_varnames), constants]
 
 
 def _name(kind: type) -> str:

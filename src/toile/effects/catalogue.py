@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from types import MappingProxyType
 
 from toile.effects.air_drag import AirDrag
@@ -23,35 +24,66 @@ from toile.effects.nonuniform_stiffness import NonuniformStiffness
 from toile.effects.rest_curvature import RestCurvature
 from toile.effects.shading import Shading
 from toile.effects.strain_stiffening import StrainStiffening
+from toile.errors import InputError
 
-CATALOGUE: Mapping[str, type[Effect]] = MappingProxyType(
-    {
-        effect.NAME: effect
-        for effect in (
-            AnchorSlip,
-            Gusts,
-            AirDrag,
-            InternalDamping,
-            AnisotropicStiffness,
-            StrainStiffening,
-            RestCurvature,
-            NonuniformDensity,
-            NonuniformStiffness,
-            Contact,
-            GravityTilt,
-            FrameRate,
-            FocalError,
-            LensDistortion,
-            Shading,
-            MotionBlur,
-            MaskBias,
-        )
-    }
-)
+_EFFECTS: dict[str, type[Effect]] = {
+    effect.NAME: effect
+    for effect in (
+        AnchorSlip,
+        Gusts,
+        AirDrag,
+        InternalDamping,
+        AnisotropicStiffness,
+        StrainStiffening,
+        RestCurvature,
+        NonuniformDensity,
+        NonuniformStiffness,
+        Contact,
+        GravityTilt,
+        FrameRate,
+        FocalError,
+        LensDistortion,
+        Shading,
+        MotionBlur,
+        MaskBias,
+    )
+}
+CATALOGUE: Mapping[str, type[Effect]] = MappingProxyType(_EFFECTS)
 """Classes by name; every one but Contact, which needs its obstacle, can be made without arguments."""
 
-STAGES: Mapping[str, Stage] = MappingProxyType({name: effect.STAGE for name, effect in CATALOGUE.items()})
+_STAGES: dict[str, Stage] = {name: effect.STAGE for name, effect in _EFFECTS.items()}
+STAGES: Mapping[str, Stage] = MappingProxyType(_STAGES)
 """Stage of every effect by name."""
 
 MOVING = (Stage.MECHANICS, Stage.ACTUATION)
 """Stages whose effects move the cloth."""
+
+
+@contextmanager
+def also_known(effects: Sequence[Effect]) -> Iterator[None]:
+    """Let the catalogue hold effects from outside the package as well, as long as the block runs.
+
+    Args:
+        effects: instances; those of the catalogue's own classes change nothing.
+
+    Raises:
+        InputError: one that bears the name of another effect.
+    """
+    new: dict[str, type[Effect]] = {}
+    for effect in effects:
+        if _EFFECTS.get(effect.NAME, type(effect)) is not type(effect):
+            raise InputError(
+                "An effect of that name is in the catalogue",
+                where=f"NAME of {type(effect).__qualname__}",
+                expected=f"another name than {', '.join(_EFFECTS)}",
+                got=effect.NAME,
+            )
+        if effect.NAME not in _EFFECTS:
+            new[effect.NAME] = type(effect)
+    _EFFECTS.update(new)
+    _STAGES.update({name: effect.STAGE for name, effect in new.items()})
+    try:
+        yield
+    finally:
+        for name in new:
+            del _EFFECTS[name], _STAGES[name]

@@ -202,7 +202,8 @@ def test_document(graded: tuple[BlindSet, Predictions, SealKey], results: Module
     blind, predictions, _ = graded
     docs = tmp_path / "docs"
     (docs / "results").mkdir(parents=True)
-    (docs / "diagnosis.md").write_text("before\n<!-- blind -->\nold\n<!-- /blind -->\nafter\n")
+    (docs / "diagnosis").mkdir()
+    (docs / "diagnosis" / "validation.md").write_text("before\n<!-- blind -->\nold\n<!-- /blind -->\nafter\n")
     (docs / "results" / "benchmarks.md").write_text("# B\n\n## bench_fit\n\nx\n")
     results.write_results(blind, predictions, docs, permutations=20, draws=2)
     text = (docs / "results" / "blind_standard.md").read_text()
@@ -228,7 +229,7 @@ def test_document(graded: tuple[BlindSet, Predictions, SealKey], results: Module
     assert results.put_section(benchmarks, "bench_diagnosis", "y").count("## bench_diagnosis") == 1
     assert benchmarks.index("bench_diagnosis") < benchmarks.index("bench_fit")
     assert benchmarks.endswith("## bench_fit\n\nx\n")
-    page = (docs / "diagnosis.md").read_text()
+    page = (docs / "diagnosis" / "validation.md").read_text()
     assert page.startswith("before\n")
     assert page.endswith("after\n")
     assert "old" not in page
@@ -241,7 +242,8 @@ def test_another_set_beside_it(
     blind, predictions, _ = graded
     docs = tmp_path / "docs"
     (docs / "results").mkdir(parents=True)
-    page, times = docs / "diagnosis.md", docs / "results" / "benchmarks.md"
+    (docs / "diagnosis").mkdir()
+    page, times = docs / "diagnosis" / "validation.md", docs / "results" / "benchmarks.md"
     page.write_text("<!-- blind -->\nof one set\n<!-- /blind -->\n")
     times.write_text("## bench_diagnosis\n\nof one set\n")
     made = results.write_results(blind, predictions, docs, stem="before", permutations=20, draws=2)
