@@ -61,6 +61,7 @@ from toile.evaluation.evaluate import EvaluationResult
 from toile.evaluation.evaluate import evaluate as _evaluate
 from toile.geometry.camera import Camera
 from toile.geometry.mesh import grid_faces
+from toile.physics.cloth import GRID_PARAMETERS
 from toile.physics.units import NetworkUnits
 from toile.reconstruction.effects import FitEffects
 from toile.reconstruction.parameters import ClothParameters
@@ -772,8 +773,7 @@ def _data_override(data: str | Path | None) -> list[str]:
 
 def _in_network_units(stiffness: Mapping[str, float], units: NetworkUnits) -> dict[str, float]:
     """Stiffnesses in SI units, converted; those that are not given are left out."""
-    make: Callable[..., ClothParameters] = ClothParameters
-    one = _in_si(make(1, 1, 0, units, **dict.fromkeys(ClothParameters.STIFFNESSES, 1.0)))
+    one = {p.name: units.of(p.unit) for p in GRID_PARAMETERS}
     for name, value in stiffness.items():
         if name not in one or not (isinstance(value, int | float) and 0 < value < float("inf")):
             raise InputError(
@@ -787,7 +787,7 @@ def _in_network_units(stiffness: Mapping[str, float], units: NetworkUnits) -> di
 
 def _in_si(parameters: ClothParameters) -> dict[str, float]:
     material = parameters.material()
-    return {name: float(getattr(material, name).detach()) for name in parameters.STIFFNESSES}
+    return {name: float(material[name].detach()) for name in parameters.STIFFNESSES}
 
 
 def _put(parameter: Tensor, value: npt.ArrayLike, name: str, shape: tuple[int, ...] | None = None) -> None:
