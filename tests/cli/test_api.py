@@ -34,8 +34,8 @@ from toile.scenes.native import write_native
 from toile.scenes.scene import Scene
 
 Toile = Callable[..., Any]
-QUICK = {"logger": "none", "report": {"video": False}}
-QUICK_LINES = ("logger=none", "report.video=false")
+QUICK = {"logger": "none", "report": {"video": False, "page": False}}
+QUICK_LINES = ("logger=none", "report.video=false", "report.page=false")
 
 
 class Breath(ForceEffect):

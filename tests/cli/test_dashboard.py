@@ -15,7 +15,7 @@ from toile.scenes.native import write_native
 from toile.scenes.scene import Scene
 
 Toile = Callable[..., Any]
-SHORT = ("optimization.cycles=2", "report.video=false", "callbacks.pictures.frames=1")
+SHORT = ("optimization.cycles=2", "report.video=false", "report.page=false", "callbacks.pictures.frames=1")
 
 
 def choices(events: EventAccumulator) -> dict[str, str | float]:

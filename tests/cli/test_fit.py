@@ -32,7 +32,7 @@ PAPER = (
     "optimization.cycles_per_frame=1",
     "callbacks.checkpoint.every=2",
 )
-QUICK = ("logger=none", "report.video=false")
+QUICK = ("logger=none", "report.video=false", "report.page=false")
 
 
 @pytest.fixture
@@ -370,6 +370,11 @@ def test_a_fit_with_effects(toile: Toile, tmp_path: Path, monkeypatch: pytest.Mo
     assert fitted["gusts x_1 [m/s²]"] == 0.2
     assert "air_drag normal [1/s]" in read_history(run)
     assert "gusts x_1 [m/s²]" not in read_history(run)
+    # No page was asked for; it can be had later.
+    assert not run.page.exists()
+    assert not any(run.figures.iterdir())
+    assert "finished before" in toile(*EFFECT, "effect.gusts.values.x_1=0.2", "hydra.run.dir=run").out
+    assert toile("report", "run").status == 0
     page = run.page.read_text(encoding="utf-8")
     assert "air_drag normal" in page
     with monkeypatch.context() as patch:
@@ -431,6 +436,7 @@ def test_unevenly_spaced_frames_from_the_fit_to_the_export(
     saved = read_trajectory(whole)
     assert saved.times is not None
     assert saved.times.tolist() == times.tolist()
+    assert toile("report", "whole").status == 0
     assert "37.5 per second on average" in whole.page.read_text()
     # Interrupted and continued, it is the same.
     with monkeypatch.context() as patch:

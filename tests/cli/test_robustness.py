@@ -33,6 +33,7 @@ FIT = (
     "optimization.first_frames=null",
     "logger=none",
     "report.video=false",
+    "report.page=false",
     "hydra.run.dir=run",
 )
 TRAIN = ("train", "training=tiny", "threads=1", "logger=none", "hydra.run.dir=run")

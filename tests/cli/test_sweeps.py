@@ -19,7 +19,7 @@ from toile.scenes.native import write_native
 from toile.scenes.scene import Scene
 
 Toile = Callable[..., Any]
-QUICK = ("scene=swaying", "logger=none", "report.video=false", "callbacks=default")
+QUICK = ("scene=swaying", "logger=none", "report.video=false", "report.page=false", "callbacks=default")
 SHORT = (
     *QUICK,
     "optimization=adam",

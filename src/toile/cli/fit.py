@@ -16,6 +16,7 @@ from toile.cli.configuration import instantiate, output_folder, resolved_yaml
 from toile.cli.dashboard import write_final_numbers
 from toile.cli.fit_results import (
     Seconds,
+    last_picture,
     residual_force,
     write_motion,
     write_numbers,
@@ -73,7 +74,8 @@ def run(cfg: DictConfig) -> float | None:
     else:
         print_evaluation(evaluation)
         print_path(folder.path)
-        print_path(folder.page)
+        if cfg.report.page:
+            print_path(folder.page)
     return objective(cfg, evaluation)
 
 
@@ -89,7 +91,7 @@ def finished_fit(cfg: DictConfig) -> FinishedFit:
     check_ablation_applies(cfg)
     folder = create_run_folder(output_folder())
     config = resolved_yaml(cfg)
-    if is_finished(folder, config):
+    if is_finished(folder, config, last_picture(folder, cfg.report) or folder.metrics):
         return FinishedFit(folder, EvaluationResult.from_dict(read_metrics(folder)), before=True)
     checkpoint = last_checkpoint(folder, config)
     check_losses_are_used(cfg)
@@ -122,7 +124,8 @@ def finished_fit(cfg: DictConfig) -> FinishedFit:
     seconds = Seconds(fitted.seconds, time.perf_counter() - started)
     write_numbers(folder, module, trajectory, evaluation, seconds, warnings)
     write_final_numbers(cfg, folder, config)
-    log.info("writing figures, video and page")
+    if last_picture(folder, cfg.report):
+        log.info("writing pictures")
     write_pictures(folder, module, trajectory, evaluation, cfg.report)
     return FinishedFit(folder, evaluation, before=False)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -199,12 +200,24 @@ def write_numbers(
     write_metrics(folder, numbers)
 
 
+def last_picture(folder: RunFolder, report: Any) -> Path | None:
+    """What ``write_pictures`` writes last; None if it writes nothing."""
+    return folder.page if report.page else folder.overlay_video if report.video else None
+
+
 def write_pictures(
     folder: RunFolder, module: FitModule, trajectory: Tensor, evaluation: EvaluationResult, report: Any
 ) -> None:
-    """Write figures, overlay.mp4 and index.html; ``report`` is that part of the configuration."""
+    """Write overlay.mp4, figures and index.html; ``report`` says which, as in the configuration."""
     reconstruction = module.reconstruction
     scene = textured(reconstruction)
+    if report.video:
+        pictures = overlay_pictures(
+            scene.frames, scene.masks, _drawn(reconstruction, scene, trajectory), trajectory, scene.camera
+        )
+        write_video(pictures, folder.overlay_video, scene.fps)
+    if not report.page:
+        return
     history = pd.DataFrame(module.history)
     if any(np.isfinite(m.mean) for m in evaluation.metrics.values()):
         save_figure(error_over_frames(evaluation), folder.figures / "errors.png")
@@ -216,11 +229,6 @@ def write_pictures(
     frames = np.unique(np.linspace(0, n - 1, min(n, _SIDE_VIEWS)).round().astype(int)).tolist()
     view = side_view(trajectory.numpy(), frames, true_points(scene, n))
     save_figure(view, folder.figures / "side_view.png")
-    if report.video:
-        pictures = overlay_pictures(
-            scene.frames, scene.masks, _drawn(reconstruction, scene, trajectory), trajectory, scene.camera
-        )
-        write_video(pictures, folder.overlay_video, scene.fps)
     page = result_page(folder, scene, reconstruction.renderer, report.pictures)
     write_result_page(page, folder.page)
 

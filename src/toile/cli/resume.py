@@ -97,18 +97,18 @@ def checkpoint_path(folder: RunFolder) -> Path:
     return folder.path / _CHECKPOINT
 
 
-def is_finished(folder: RunFolder, config: str) -> bool:
+def is_finished(folder: RunFolder, config: str, last: Path) -> bool:
     """Whether the folder holds everything that a fit with these settings leaves.
 
     Args:
         folder: of the run; it may be empty.
         config: resolved configuration of this run, YAML text.
+        last: what such a fit writes last.
 
     Raises:
         InputError: the folder holds a run with another configuration.
     """
-    # The page is the last thing a fit writes.
-    if not (folder.config.is_file() and folder.metrics.is_file() and folder.page.is_file()):
+    if not (folder.config.is_file() and folder.metrics.is_file() and last.is_file()):
         return False
     check_settings_as_before(folder, config)
     return True

@@ -33,6 +33,7 @@ COMMAND_SETTINGS: Mapping[str, Any] = {
     "objective": str | None,
     "report.pictures": Annotated[Count, Unit("frames")],
     "report.video": bool,
+    "report.page": bool,
     "fixed_effects": tuple[str, ...] | None,
     "force": bool,
     "simulator.substeps": Annotated[Count, Unit("per frame")] | None,
