@@ -85,7 +85,7 @@ def is_done(run: Path) -> bool:
     if not (run / DIAGNOSIS_FILE).is_file() or not (run / SCREENING_FILE).is_file():
         return False
     with np.load(run / SCREENING_FILE) as stored:
-        return {"hindsight", "foretold", "size"} <= set(stored.files)
+        return {"in_sample", "prediction_gain", "size"} <= set(stored.files)
 
 
 def row(scene: PlannedScene, runs: Path) -> dict[str, object]:
@@ -102,14 +102,15 @@ def row(scene: PlannedScene, runs: Path) -> dict[str, object]:
     chances, verdict = probabilities(evidence, calibration), verdict_by(evidence, calibration)
     with np.load(runs / scene.name / SCREENING_FILE) as stored:
         seen = {
-            name: f"{name} {float(hindsight):.1f} / {float(gain):.2f} / {100 * float(size):.2f}".replace(
+            name: f"{name} {float(in_sample):.1f} / {float(gain):.2f} / {100 * float(size):.2f}".replace(
                 "nan", "-"
             )
-            for name, hindsight, gain, size in zip(
-                *(stored[key].tolist() for key in ("names", "hindsight", "foretold", "size")), strict=True
+            for name, in_sample, gain, size in zip(
+                *(stored[key].tolist() for key in ("names", "in_sample", "prediction_gain", "size")),
+                strict=True,
             )
         }
-        hindsight = dict(zip(stored["names"].tolist(), stored["hindsight"].tolist(), strict=True))
+        in_sample = dict(zip(stored["names"].tolist(), stored["in_sample"].tolist(), strict=True))
     order = sorted(_MOVING, key=lambda name: -evidence[name])
     return {
         "scene": scene.name,
@@ -123,8 +124,10 @@ def row(scene: PlannedScene, runs: Path) -> dict[str, object]:
         "probability of the truth": f"{chances[truth]:.2f}" if truth in chances else "",
         "rank of its evidence": str(order.index(truth) + 1) if truth in order else "",
         "strongest that moves": f"{order[0]} {evidence[order[0]]:.1f}",
-        "truth: hindsight / foretold / size [% of width]": seen.get(truth, ""),
-        "best in hindsight of those that move": seen[max(_MOVING, key=lambda name: hindsight[name])],
+        "truth: in-sample log Bayes factor / prediction gain / size [% of width]": seen.get(truth, ""),
+        "largest in-sample log Bayes factor of those that move": seen[
+            max(_MOVING, key=lambda name: in_sample[name])
+        ],
         "naive answer": report.protocol.naive,
     }
 

@@ -31,8 +31,8 @@ from scipy.ndimage import distance_transform_edt
 from torch import Tensor
 
 from toile.cli.machine import machine
-from toile.diagnosis.border import border, border_evidence
-from toile.diagnosis.colours import ColourFit, brightness_evidence, colours
+from toile.diagnosis.brightness_cue import BrightnessFit, brightness_evidence, measured_brightness
+from toile.diagnosis.outline_cue import outline_evidence, template_outline
 from toile.diagnosis.sharpness import ExposureFit, exposure_evidence, smear
 from toile.effects.base import (
     BrightnessEffect,
@@ -388,13 +388,13 @@ def from_images(name: str) -> list[Found]:
     truth, zero = make(name, true_values(name)), make(name, {})
     if isinstance(truth, CameraEffect | MaskEffect):
         scene = outline(truth)
-        best = border_evidence(zero, scene, border(scene))
+        best = outline_evidence(zero, scene, template_outline(scene))
         mean, covariance = best.mean, best.covariance
     else:
         clip, positions = filmed(truth), plain_motion().numpy()
-        fit: ColourFit | ExposureFit
+        fit: BrightnessFit | ExposureFit
         if isinstance(zero, BrightnessEffect):
-            fit = brightness_evidence(zero, colours(clip, positions))
+            fit = brightness_evidence(zero, measured_brightness(clip, positions))
         else:
             assert isinstance(zero, ExposureEffect)
             fit = exposure_evidence(zero, smear(clip, positions))

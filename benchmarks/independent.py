@@ -84,15 +84,15 @@ def row(scene: Path) -> dict[str, str]:
         "stage": verdict.stage,
         "probability": f"{verdict.probability:.2f}",
         "naive": report.protocol.naive,
-        "hindsight": _hindsight(run),
+        "in_sample": _in_sample(run),
         "held-out error [mm]": "" if shrink is None else f"{shrink.base:.1f} -> {shrink.with_effect:.1f}",
     }
 
 
-def _hindsight(run: Path) -> str:
+def _in_sample(run: Path) -> str:
     """The two effects with the largest log evidence from the fitted frames."""
     with np.load(run / SCREENING_FILE) as stored:
-        found = zip(stored["hindsight"].tolist(), stored["names"].tolist(), strict=True)
+        found = zip(stored["in_sample"].tolist(), stored["names"].tolist(), strict=True)
         best = sorted(found, reverse=True)[:2]
     return ", ".join(f"{name} {value:.0f}" for value, name in best)
 

@@ -76,7 +76,7 @@ def test_uncalibrated_until_there_is_a_calibration_for_the_settings(toile) -> No
     assert "other settings" in err
 
     scene = next(Path("data").rglob("scene.json")).parent
-    noisier = ("diagnosis.colours.noise=0.2", "diagnosis.border.correlation=40")
+    noisier = ("diagnosis.brightness.noise=0.2", "diagnosis.outline.correlation=40")
     diagnose_scene(scene, Path("other"), (*SMALL, "diagnosis.calibration=mine/calibration.json", *noisier))
     diagnose_scene(scene, Path("mine"), (*SMALL, "diagnosis.calibration=mine/calibration.json"))
     with_mine = GapReport.read(Path("mine") / DIAGNOSIS_FILE)
@@ -91,12 +91,12 @@ def test_uncalibrated_until_there_is_a_calibration_for_the_settings(toile) -> No
     other = GapReport.read(Path("other") / DIAGNOSIS_FILE).calibration
     assert other is not None
     assert [line.split(":")[0] for line in other.differences] == [
-        "diagnosis.border.correlation",
-        "diagnosis.colours.noise",
+        "diagnosis.outline.correlation",
+        "diagnosis.brightness.noise",
     ]
     with np.load(Path("mine") / SCREENING_FILE) as usual, np.load(Path("other") / SCREENING_FILE) as changed:
         names = usual["names"]
-        differs = set(names[usual["hindsight"] != changed["hindsight"]].tolist())
+        differs = set(names[usual["in_sample"] != changed["in_sample"]].tolist())
     assert differs == {"shading", "mask_bias", "focal_error", "lens_distortion"}
 
 
@@ -145,6 +145,6 @@ def test_left_out_answers_every_scene_and_writes_nothing(toile) -> None:
     assert "named wrongly" in out
     assert not Path("calibration.json").exists()
     _, weighed, _ = toile(
-        "calibrate", "table=few.csv", "left_out=true", "diagnosis.weights.hindsight=0.1", "exact_steps=true"
+        "calibrate", "table=few.csv", "left_out=true", "diagnosis.weights.in_sample=0.1", "exact_steps=true"
     )
     assert weighed.splitlines()[-1] != out.splitlines()[-1]

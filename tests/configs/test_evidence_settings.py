@@ -38,8 +38,8 @@ def test_the_shipped_calibration_is_for_the_default_settings() -> None:
     [
         ("diagnosis=quick", "diagnosis.sides: [14], calibrated with [20]"),
         ("diagnosis=fine", "diagnosis.sides: [20, 32], calibrated with [20]"),
-        ("diagnosis.weights.foresight=40", "diagnosis.weights.foresight: 40, calibrated with 20"),
-        ("diagnosis.grip.along=4", "diagnosis.grip.along: 4, calibrated with 5"),
+        ("diagnosis.weights.predictive=40", "diagnosis.weights.prediction: 40, calibrated with 20"),
+        ("diagnosis.attachment_slip.along=4", "diagnosis.grip.along: 4, calibrated with 5"),
         ("diagnosis.coarse=null", "diagnosis.coarse: null, calibrated with given"),
         ("simulator.longest_substep=0.01", "simulator.longest_substep: 0.01, calibrated with 0.02"),
         ("simulator/integrator=backward_euler", "BackwardEuler, calibrated with BDF2"),
@@ -93,12 +93,12 @@ def test_settings_that_do_not_matter_are_settings() -> None:
 def test_every_constant_reaches_its_settings() -> None:
     """Overrides as a user writes them, and nothing else changes."""
     changed = {
-        "diagnosis.border.strengths": (1.0, 2.0),
-        "diagnosis.colours.noise": 0.05,
+        "diagnosis.outline.strengths": (1.0, 2.0),
+        "diagnosis.brightness.noise": 0.05,
         "diagnosis.exposure.fewest": 10,
-        "diagnosis.grip.sway": (0.0, 0.5),
+        "diagnosis.attachment_slip.sway": (0.0, 0.5),
         "diagnosis.evidence.internal": (0.1, 0.2),
-        "diagnosis.refits.promising": -1.0,
+        "diagnosis.refits.least_score": -1.0,
         "diagnosis.prediction.failed": -2.0,
         "diagnosis.verdict.ahead": 5.0,
         "diagnosis.shooting.damping.stronger": 7.0,

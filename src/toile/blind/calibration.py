@@ -36,7 +36,7 @@ from toile.limits import Count, Finite, NonNegative, Positive
 KINDS = (MOVING, (Stage.CAMERA, Stage.OBSERVATION), (Stage.APPEARANCE,))
 """Stages whose effects leave the same sort of trace: in the motion, in the outline, in the colours."""
 
-_MEASURED = ("scene", "truth", "effect", "hindsight", "foretold", "size", "left", "step")
+_MEASURED = ("scene", "truth", "effect", "in_sample", "prediction_gain", "size", "left", "step")
 _SETTINGS = "settings"
 
 
@@ -95,11 +95,11 @@ def measured(run: Path) -> pd.DataFrame:
         with np.load(run / SCREENING_FILE) as stored:
             columns = {
                 "effect": stored["names"].tolist(),
-                "hindsight": stored["hindsight"],
-                "foretold": stored["foretold"],
+                "in_sample": stored["in_sample"],
+                "prediction_gain": stored["prediction_gain"],
                 "size": stored["size"],
             }
-            unknown = {"effect": UNKNOWN, "hindsight": float(stored["unknown"])}
+            unknown = {"effect": UNKNOWN, "in_sample": float(stored["unknown"])}
             table = pd.concat([pd.DataFrame(columns), pd.DataFrame([unknown])], ignore_index=True)
             step = float(stored["time_step_error"]) / float(stored["width"])
             return table.assign(left=float(stored["left"]), step=step)
@@ -122,12 +122,12 @@ def evidence_from(table: pd.DataFrame, weights: Weights, usual_cost: float) -> d
     """
     evidence = {}
     for row in table.itertuples():
-        name, gain = str(row.effect), 0.0 if np.isnan(row.foretold) else float(row.foretold)
-        evidence[name] = float(row.hindsight)
+        name, gain = str(row.effect), 0.0 if np.isnan(row.prediction_gain) else float(row.prediction_gain)
+        evidence[name] = float(row.in_sample)
         if name == UNKNOWN or isinstance(CATALOGUE[name](), FORCES):
             size = np.inf if np.isnan(row.size) else float(row.size)
             step = 0.0 if name == UNKNOWN else float(row.step)
-            evidence[name] = weights.combined(float(row.hindsight), gain, size, step)
+            evidence[name] = weights.combined(float(row.in_sample), gain, size, step)
         if name != UNKNOWN and isinstance(CATALOGUE[name](), FORCES):
             evidence[name] = tempered(evidence[name], float(row.left), usual_cost)
     return evidence

@@ -38,7 +38,7 @@ def alias_of(mechanics: Mechanics, size: Discrepancy, calibration: Calibration, 
             calibration.spread.get(name, 1.0), 1.0
         )
         parameter = mechanics.effects[name].parameters[0]
-        fitted = max(needed, 1.0) / weights.hindsight
+        fitted = max(needed, 1.0) / weights.in_sample
         limit = float(np.sqrt(2 * fitted / max(information, 1e-12))) * parameter.scale
         limits[name] = limit if limit <= max(abs(parameter.low), abs(parameter.high)) else None
     return Alias(tuple(names), tuple(tuple(float(v) for v in row) for row in matrix), limits)

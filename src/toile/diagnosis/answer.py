@@ -10,7 +10,7 @@ import numpy as np
 from toile.diagnosis.decision import UNKNOWN, Calibration, Weights, probabilities, tempered
 from toile.diagnosis.findings import Finding, Screening, finding
 from toile.diagnosis.refits import Race
-from toile.diagnosis.stages import Foretold
+from toile.diagnosis.stages import WindowPredictions
 from toile.effects.base import Effect
 
 
@@ -40,7 +40,7 @@ def weighed(
     seen: Mapping[str, Finding],
     screening: Screening,
     race: Race,
-    foretold: Foretold,
+    predictions: WindowPredictions,
     effects: Mapping[str, Effect],
     *,
     step_error: float,
@@ -55,7 +55,7 @@ def weighed(
         seen: findings without a model of the motion.
         screening: to first order.
         race: refits.
-        foretold: by those.
+        predictions: by those.
         effects: that move the cloth, by name.
         step_error: what half the time step changes, over the cloth's width.
         used: frames fitted.
@@ -67,31 +67,31 @@ def weighed(
     for name, screened in screening.findings.items():
         if name in race.effects:
             model = race.effects[name]
-            gained = model.gained - screening.charges[name]
+            gained = model.gained - screening.penalties[name]
             findings[name] = finding(effects[name], gained, model.mean, model.covariance)
         else:
-            # What has not been tried, or could not keep its promise, speaks for nothing.
+            # What has not been tried, or could not reach its score, speaks for nothing.
             findings[name] = replace(screened, log_evidence=min(screened.log_evidence, 0.0))
     evidence = {name: found.log_evidence for name, found in findings.items()}
     left = min(model.image_cost for model in (race.base, *race.effects.values())) / used
     for name in screening.findings:
-        gain = foretold.gains.get(name, 0.0)
-        size = foretold.sizes.get(name, np.inf)
+        gain = predictions.gains.get(name, 0.0)
+        size = predictions.sizes.get(name, np.inf)
         counted = weights.combined(findings[name].log_evidence, gain, size, step_error)
         evidence[name] = tempered(counted, left, usual_cost)
-    # What is unknown foretells nothing, better or worse.
+    # What is unknown predicts nothing, better or worse.
     unknown = weights.combined(race.beyond, 0.0)
     chances = probabilities({**evidence, UNKNOWN: unknown}, calibration)
     return Weighed(findings, evidence, left, chances)
 
 
-def promising(screening: Screening, least: float) -> dict[str, tuple[int, ...]]:
-    """Free numbers of the effects that are worth a fit of their own, the most promising first.
+def best_scoring(screening: Screening, least: float) -> dict[str, tuple[int, ...]]:
+    """Free numbers of the effects that are worth a fit of their own, the best-scoring first.
 
     Args:
         screening: to first order.
         least: log evidence of an effect that is.
     """
-    promise = {name: found.log_evidence for name, found in screening.findings.items()}
-    names: Sequence[str] = sorted(promise, key=lambda name: -promise[name])
-    return {name: screening.free[name] for name in names if screening.free[name] and promise[name] > least}
+    scores = {name: found.log_evidence for name, found in screening.findings.items()}
+    names: Sequence[str] = sorted(scores, key=lambda name: -scores[name])
+    return {name: screening.free[name] for name in names if screening.free[name] and scores[name] > least}

@@ -24,20 +24,20 @@ SHIPPED = Path(__file__).parent / "calibration.json"
 
 @dataclass(frozen=True)
 class Weights:
-    """What hindsight and foresight count for, with effects that move the cloth and what is unknown.
+    """What in-sample fit and prediction count for, with effects that move the cloth and what is unknown.
 
     Attributes:
-        hindsight: share of the log evidence from fitted windows that counts.
+        in_sample: share of the log Bayes factor from fitted windows that counts.
         most: log evidence beyond which more says nothing: it comes from an error that the effect takes up.
-        foresight: log evidence for each logarithm by which windows are foretold better.
+        predictive: log evidence for each logarithm by which windows are predicted better.
         farthest: logarithm beyond which better says nothing.
         smallest: size of an effect, over the cloth's width, from which on what speaks for it counts in full,
             and error of the time step up to which it does; see effect_size and time_step_error.
     """
 
-    hindsight: NonNegative = 0.5
+    in_sample: NonNegative = 0.5
     most: NonNegative = 60.0
-    foresight: NonNegative = 20.0
+    predictive: NonNegative = 20.0
     farthest: NonNegative = 0.5
     smallest: Positive = 0.005
 
@@ -46,12 +46,12 @@ class Weights:
 
         Args:
             evidence: from fitted windows.
-            gain: logarithm by which windows are foretold better.
+            gain: logarithm by which windows are predicted better.
             size: how far the effect moves the cloth, over the cloth's width.
             numerics: how far half the time step does.
         """
-        foreseen = float(np.clip(gain, -self.farthest, self.farthest))
-        value = self.hindsight * min(evidence, self.most) + self.foresight * foreseen
+        predicted = float(np.clip(gain, -self.farthest, self.farthest))
+        value = self.in_sample * min(evidence, self.most) + self.predictive * predicted
         if value <= 0:
             return value
         share = min(1.0, size / self.smallest) * (self.smallest / max(numerics, self.smallest))

@@ -17,9 +17,14 @@ from pydantic import Field
 
 from toile.atomic_file import written_atomically
 from toile.diagnosis.aliases import alias_of
-from toile.diagnosis.answer import Weighed, promising, weighed
-from toile.diagnosis.border import BorderFit, BorderSettings, border, border_evidence
-from toile.diagnosis.colours import ColourFit, ColourSettings, brightness_evidence, colours
+from toile.diagnosis.answer import Weighed, best_scoring, weighed
+from toile.diagnosis.attachment_slip import SlipFit, SlipSettings, slip_evidence
+from toile.diagnosis.brightness_cue import (
+    BrightnessFit,
+    BrightnessSettings,
+    brightness_evidence,
+    measured_brightness,
+)
 from toile.diagnosis.continuity import Discrepancy
 from toile.diagnosis.decision import Calibration, Weights
 from toile.diagnosis.effect_size import effect_size
@@ -34,7 +39,6 @@ from toile.diagnosis.findings import (
 )
 from toile.diagnosis.fingerprint import code_fingerprint, fingerprint
 from toile.diagnosis.gap_maps import GapMaps, gap_maps, stage_shares
-from toile.diagnosis.grip import GripSettings, SlipFit, slip_evidence
 from toile.diagnosis.made_with import MADE_WITH_FILE, MadeWith
 from toile.diagnosis.mechanics import (
     Mechanics,
@@ -46,8 +50,9 @@ from toile.diagnosis.mechanics import (
 )
 from toile.diagnosis.model_grid import ModelGrid, model_grids
 from toile.diagnosis.numerics import StepRefinement, halved, time_step_error
+from toile.diagnosis.outline_cue import OutlineFit, OutlineSettings, outline_evidence, template_outline
 from toile.diagnosis.record import CalibrationUse, EffectReport, GapReport, Protocol, Where
-from toile.diagnosis.refits import Race, RefitSettings, refits, settled
+from toile.diagnosis.refits import Race, RefitSettings, converged, refits
 from toile.diagnosis.sharpness import ExposureFit, ExposureSettings, exposure_evidence, smear
 from toile.diagnosis.shooting import Shooting, ShootingSettings
 from toile.diagnosis.shrinkage import HeldOut, PredictionSettings, held_out_shrinks, prediction_gains
@@ -55,22 +60,22 @@ from toile.diagnosis.stage_store import Result, StageStore
 from toile.diagnosis.stage_times import TIMES_FILE, StageTimes
 from toile.diagnosis.stages import (
     BASE_MODEL,
+    CONVERGED_BASE,
     FILES,
-    FORETELLING,
     HELD_OUT,
     IMAGES,
     KINDS,
     MAPS,
     NUMERICS,
     REFITS,
-    SETTLED,
     TRACKING,
+    WINDOW_PREDICTIONS,
     BaseModel,
-    Foretold,
+    ConvergedBase,
     Seen,
-    SettledBase,
     StepError,
     TrackedMotion,
+    WindowPredictions,
     settings_of,
 )
 from toile.diagnosis.stored_values import ValueStore
@@ -125,9 +130,9 @@ class DiagnosisSettings:
         usual_discrepancy: that a right model still needs; beyond it something is missing.
         usual_cost: of the images that a right model leaves, per fitted frame; if the best one leaves more,
             what speaks for an effect counts for less, and ``none`` is no proof that nothing is missing.
-        refitted: how many effects that move the cloth are fitted on their own, the most promising first: in a
+        refitted: how many effects that move the cloth are fitted on their own, the best-scoring first: in a
             first pass, in a second one, and so on.
-        settling_passes: of the base model at most, with forces of the size that it needs.
+        base_refits: of the base model at most, with forces of the size that it needs.
         weights: what evidence from fitted windows and that prediction count for.
         compared: effects whose prediction of held-out frames is measured.
         placebos: force fields without meaning that are fitted and predicted beside them.
@@ -135,10 +140,10 @@ class DiagnosisSettings:
         fewest_frames: that are fitted at least; a clip with fewer is refused, and as many are used whatever
             is lost.
         least_overlap: of the outline with the mask, as a share of frame 0's; with less the cloth is lost.
-        border: camera and mask, see BorderSettings.
-        colours: light, see ColourSettings.
+        outline: camera and mask, see OutlineSettings.
+        brightness: light, see BrightnessSettings.
         exposure: see ExposureSettings.
-        grip: see GripSettings.
+        attachment_slip: see GripSettings.
         evidence: of effects that move the cloth, see EvidenceSettings.
         refits: see RefitSettings.
         prediction: see PredictionSettings.
@@ -158,17 +163,17 @@ class DiagnosisSettings:
     usual_discrepancy: Discrepancy = field(default_factory=lambda: Discrepancy(1.6, 0.1))
     usual_cost: Positive = 15.0
     refitted: tuple[CountOrZero, ...] = (5, 2)
-    settling_passes: CountOrZero = 4
+    base_refits: CountOrZero = 4
     weights: Weights = field(default_factory=Weights)
     compared: CountOrZero = 3
     placebos: CountOrZero = 3
     seed: Seed = 0
     fewest_frames: Annotated[Count, Unit("frames")] = 6
     least_overlap: Fraction = LEAST
-    border: BorderSettings = field(default_factory=BorderSettings)
-    colours: ColourSettings = field(default_factory=ColourSettings)
+    outline: OutlineSettings = field(default_factory=OutlineSettings)
+    brightness: BrightnessSettings = field(default_factory=BrightnessSettings)
     exposure: ExposureSettings = field(default_factory=ExposureSettings)
-    grip: GripSettings = field(default_factory=GripSettings)
+    attachment_slip: SlipSettings = field(default_factory=SlipSettings)
     evidence: EvidenceSettings = field(default_factory=EvidenceSettings)
     refits: RefitSettings = field(default_factory=RefitSettings)
     prediction: PredictionSettings = field(default_factory=PredictionSettings)
@@ -214,9 +219,9 @@ def diagnose(
         (0.0, "tracking", lambda: clip.tracking),
         (0.45, "what the images say", lambda: clip.images),
         (0.5, "base model", lambda: clip.base_model),
-        (0.85, "base model, settled", lambda: clip.settled_base),
+        (0.85, "base model, refitted to convergence", lambda: clip.converged_base),
         (0.86, "refits", lambda: clip.refits),
-        (0.92, "what the effects foretell", lambda: clip.foretelling),
+        (0.92, "what the effects predict", lambda: clip.window_predictions),
         (0.94, "time steps of half the length", lambda: clip.numerics),
         (0.95, "held-out frames", lambda: clip.held_out),
         (0.97, "maps", lambda: clip.maps),
@@ -451,39 +456,39 @@ class _Stages:
         return self._around(self.base_model.value)
 
     @cached_property
-    def settled_base(self) -> Result[SettledBase]:
+    def converged_base(self) -> Result[ConvergedBase]:
         """The base model with forces of the size that it needs, and effects to first order around it."""
         settings, usual = self.settings, self.settings.usual_discrepancy
 
-        def compute() -> SettledBase:
-            best = settled(
+        def compute() -> ConvergedBase:
+            best = converged(
                 self.mechanics,
                 self.scene.camera,
                 usual,
-                settings.settling_passes,
+                settings.base_refits,
                 self._workers,
                 settings.refits,
             )
-            return SettledBase(best.fit, best.evidence.systems, mechanical_findings(best, usual))
+            return ConvergedBase(best.fit, best.evidence.systems, mechanical_findings(best, usual))
 
         after = (self.tracking, self.base_model)
-        return self._result(SETTLED, SettledBase, compute, after, self._candidates)
+        return self._result(CONVERGED_BASE, ConvergedBase, compute, after, self._candidates)
 
     @cached_property
-    def settled_mechanics(self) -> Mechanics:
-        """The settled base model, ready to be worked with."""
-        return self._around(self.settled_base.value)
+    def converged_mechanics(self) -> Mechanics:
+        """The converged base model, ready to be worked with."""
+        return self._around(self.converged_base.value)
 
     @cached_property
     def refits(self) -> Result[Race]:
-        """Promising effects at their own best fits."""
-        screened = self.settled_base.value.screening
+        """Well-scoring effects at their own best fits."""
+        screened = self.converged_base.value.screening
 
         def compute() -> Race:
             return refits(
-                self.settled_mechanics,
-                promising(screened, self.settings.refits.promising),
-                screened.charges,
+                self.converged_mechanics,
+                best_scoring(screened, self.settings.refits.least_score),
+                screened.penalties,
                 self.settings.usual_discrepancy,
                 self.settings.refitted,
                 lambda what, share: self._progress(what, 0.86 + 0.06 * share),
@@ -491,25 +496,25 @@ class _Stages:
                 self.settings.refits,
             )
 
-        after = (self.tracking, self.base_model, self.settled_base)
+        after = (self.tracking, self.base_model, self.converged_base)
         return self._result(REFITS, Race, compute, after, self._candidates)
 
     @cached_property
-    def foretelling(self) -> Result[Foretold]:
-        """What refitted effects foretell of every window, and how far they move the cloth."""
+    def window_predictions(self) -> Result[WindowPredictions]:
+        """What refitted effects predict of every window, and how far they move the cloth."""
         race = self.refits.value
 
-        def compute() -> Foretold:
+        def compute() -> WindowPredictions:
             gains = prediction_gains(
                 self.mechanics, race.base, race.effects, self._workers, self.settings.prediction
             )
             sizes = {
                 name: effect_size(self.mechanics, model) / self.width for name, model in race.effects.items()
             }
-            return Foretold(gains, sizes)
+            return WindowPredictions(gains, sizes)
 
         after = (self.tracking, self.base_model, self.refits)
-        return self._result(FORETELLING, Foretold, compute, after, self._candidates)
+        return self._result(WINDOW_PREDICTIONS, WindowPredictions, compute, after, self._candidates)
 
     @cached_property
     def numerics(self) -> Result[StepError]:
@@ -531,9 +536,9 @@ class _Stages:
         """What speaks for every hypothesis, all taken together."""
         return weighed(
             self.images.value.findings,
-            self.settled_base.value.screening,
+            self.converged_base.value.screening,
             self.refits.value,
-            self.foretelling.value,
+            self.window_predictions.value,
             self.mechanics.effects,
             step_error=self.numerics.value.distance / self.width,
             used=self.used,
@@ -588,7 +593,7 @@ class _Stages:
             settings=settings.verdict,
         )
         by_name = {effect.NAME: effect for effect in self.effects}
-        best, size = self.settled_mechanics, self.refits.value.discrepancy
+        best, size = self.converged_mechanics, self.refits.value.discrepancy
         return GapReport(
             until(verdict, known) if known < n_frames else verdict,
             Where(
@@ -618,7 +623,7 @@ class _Stages:
             self._use,
         )
 
-    def _around(self, found: BaseModel | SettledBase) -> Mechanics:
+    def _around(self, found: BaseModel | ConvergedBase) -> Mechanics:
         """A base model that was stored, with the problem that it solves."""
         halvings = self.base_model.value.halvings
         grid, tracked = self.levels[-1]
@@ -655,7 +660,7 @@ class _Stages:
 def _write_results(clip: _Stages, folder: Path) -> None:
     """The arrays that stand beside the report."""
     found, race, maps, held_out = clip.weighed, clip.refits.value, clip.maps.value, clip.held_out.value
-    screened, foretold = clip.settled_base.value.screening.findings, clip.foretelling.value
+    screened, predictions = clip.converged_base.value.screening.findings, clip.window_predictions.value
     findings, fit = found.findings, clip.mechanics.fit
     prolong = clip.levels[-1][0].prolong
     _write_arrays(
@@ -673,9 +678,9 @@ def _write_results(clip: _Stages, folder: Path) -> None:
             "first_order": np.array(
                 [screened[n].log_evidence if n in screened else np.nan for n in findings]
             ),
-            "hindsight": np.array([f.log_evidence for f in findings.values()]),
-            "foretold": np.array([foretold.gains.get(name, np.nan) for name in findings]),
-            "size": np.array([foretold.sizes.get(name, np.nan) for name in findings]),  # over the width
+            "in_sample": np.array([f.log_evidence for f in findings.values()]),
+            "prediction_gain": np.array([predictions.gains.get(name, np.nan) for name in findings]),
+            "size": np.array([predictions.sizes.get(name, np.nan) for name in findings]),  # over the width
             "unknown": np.array(race.beyond),
             "left": np.array(found.left),
             "discrepancy": np.array(race.discrepancy),  # internal, external
@@ -709,21 +714,21 @@ def _still_findings(
 ) -> dict[str, Finding]:
     """Findings from the outline of frame 0, brightness, sharpness and the paths of the held vertices."""
     scene = reconstruction.scene
-    outline = border(scene, settings.border)
-    seen = colours(reconstruction, positions, settings.colours)
+    outline = template_outline(scene, settings.outline)
+    seen = measured_brightness(reconstruction, positions, settings.brightness)
     findings = {}
     for effect in effects:
-        fit: BorderFit | ColourFit | ExposureFit | SlipFit
+        fit: OutlineFit | BrightnessFit | ExposureFit | SlipFit
         if isinstance(effect, CameraEffect | MaskEffect):
-            fit = border_evidence(effect, scene, outline, settings.border)
+            fit = outline_evidence(effect, scene, outline, settings.outline)
         elif isinstance(effect, BrightnessEffect):
-            fit = brightness_evidence(effect, seen, settings.colours)
+            fit = brightness_evidence(effect, seen, settings.brightness)
         elif isinstance(effect, ExposureEffect):
             fit = exposure_evidence(effect, smear(reconstruction, positions, settings.exposure))
         elif isinstance(effect, AnchorSlip):
             held = list(scene.held_vertices)
             pull = positions[0].mean(0) - positions[0][held]
-            fit = slip_evidence(effect, positions[:, held], scene.fps, pull, settings.grip)
+            fit = slip_evidence(effect, positions[:, held], scene.fps, pull, settings.attachment_slip)
         else:
             continue
         findings[effect.NAME] = finding(effect, fit.log_evidence, fit.mean, fit.covariance)

@@ -37,7 +37,7 @@ class Posterior:
         discrepancy: that one.
         mean, covariance: of the effect's numbers, in units of their prior deviations, (n,), (n, n).
         columns: which columns those are.
-        slack: deviation of the numbers a priori, in the same units.
+        prior_inflation: deviation of the numbers a priori, in the same units.
     """
 
     log_evidence: float
@@ -45,26 +45,26 @@ class Posterior:
     mean: Array
     covariance: Array
     columns: tuple[int, ...]
-    slack: float
+    prior_inflation: float
 
 
 @dataclass(frozen=True)
 class EvidenceSettings:
-    """What is tried for a hypothesis, and what it is charged.
+    """What is tried for a hypothesis, and what it is penalised.
 
     Attributes:
         internal: deviations of an internal force mode that are tried [m/s²].
         external: of an external one.
-        slack: factor on the prior deviations of an effect's numbers: those say how large a number usually
+        prior_inflation: factor on the prior deviations of an effect's numbers: those say how large a number usually
             is, not how large it can be.
         many: numbers of an effect from which on their common scale is found.
-        scales: shares of the usual one that are tried for it, and charged.
+        scales: shares of the usual one that are tried for it, and penalised.
         forbidden: log evidence taken from an effect all of whose signs are impossible.
     """
 
     internal: Sizes = (0.0125, 0.025, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
     external: Sizes = (0.003125, 0.00625, 0.0125, 0.025, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6)
-    slack: Positive = 1.5
+    prior_inflation: Positive = 1.5
     many: Count = 4
     scales: Annotated[tuple[Positive, ...], Field(min_length=1)] = (0.05, 0.15, 0.4, 1.0)
     forbidden: NonNegative = 20.0
@@ -91,7 +91,7 @@ class Evidence:
         settings: see EvidenceSettings.
         numbers: of the effects around which the systems are, in prior deviations; None for zeros.
         like: evidence whose determinants of the local unknowns stand for those here; None for their own.
-            Around two motions they differ by where a fold is about to snap, which is no knowledge.
+            Around two motions they differ by where a fold is about to snap through, which is no knowledge.
     """
 
     def __init__(
@@ -108,7 +108,7 @@ class Evidence:
         self.values = values
         self.deviations = deviations
         self.settings = settings
-        self.slack = settings.slack
+        self.prior_inflation = settings.prior_inflation
         self.n_shared = len(systems[0].gradient) - len(systems[0].white)
         self.numbers = np.zeros(self.n_shared - self.n_base) if numbers is None else numbers
         self._like = like
@@ -124,7 +124,7 @@ class Evidence:
         return self._reduced[size]
 
     def posterior(
-        self, columns: Sequence[int], largest: Discrepancy = ANY, slack: float | None = None
+        self, columns: Sequence[int], largest: Discrepancy = ANY, prior_inflation: float | None = None
     ) -> Posterior:
         """The hypothesis that frees these columns, at its best discrepancy up to ``largest``."""
         limit = self.settings.tried(largest)
@@ -135,7 +135,7 @@ class Evidence:
         def at(place: tuple[int, int]) -> float:
             if place not in found:
                 size = Discrepancy(internal[place[0]], external[place[1]])
-                found[place] = self._at(columns, size, slack)
+                found[place] = self._at(columns, size, prior_inflation)
             return found[place].log_evidence
 
         # Uphill from the best of three places: every size that is looked at costs an elimination of all
@@ -173,26 +173,26 @@ class Evidence:
         if best is None:
             none = self.posterior((), largest)
             return replace(none, log_evidence=none.log_evidence - self.settings.forbidden)
-        return replace(best, log_evidence=best.log_evidence - sign_charge(lowest))
+        return replace(best, log_evidence=best.log_evidence - sign_penalty(lowest))
 
     def scaled(self, columns: Sequence[int], largest: Discrepancy) -> Posterior:
-        """The posterior; where an effect has many numbers, at their best common scale, which is charged.
+        """The posterior; where an effect has many numbers, at their best common scale, which is penalised.
 
-        Each of many numbers is charged for its prior's width, so a width that is too large by far hides a
+        Each of many numbers is penalised for its prior's width, so a width that is too large by far hides a
         field or a gust that is there (automatic relevance determination, MacKay 1992).
         """
         if len(columns) < self.settings.many:
             return self.posterior(columns, largest)
         scales = self.settings.scales
-        found = [self.posterior(columns, largest, share * self.slack) for share in scales]
+        found = [self.posterior(columns, largest, share * self.prior_inflation) for share in scales]
         best = max(found, key=lambda posterior: posterior.log_evidence)
         return replace(best, log_evidence=best.log_evidence - float(np.log(len(scales))))
 
     def loss_drop(self, columns: Sequence[int], size: Discrepancy) -> float:
-        """By how much the training loss falls with these columns free, without any charge for them."""
+        """By how much the training loss falls with these columns free, without any penalty for them."""
         size = self.settings.tried(size)
-        free = self._at(columns, size, charge=False).log_evidence
-        return free - self._at((), size, charge=False).log_evidence
+        free = self._at(columns, size, penalised=False).log_evidence
+        return free - self._at((), size, penalised=False).log_evidence
 
     def fisher(self, size: Discrepancy) -> Array:
         """Information on all effect columns with base, starts, anchors and discrepancy integrated out."""
@@ -209,7 +209,7 @@ class Evidence:
         damping: float,
         longest: Array,
         held: NDArray[np.bool_] | None = None,
-        slack: float | None = None,
+        prior_inflation: float | None = None,
     ) -> tuple[Array, Array, list[Array]]:
         """To where the hypothesis that frees these columns has its mean, or a part of the way.
 
@@ -220,7 +220,7 @@ class Evidence:
                 the cost wherever the cost can be lowered.
             longest: change of the base values at most (n_base,).
             held: windows whose own unknowns stay as they are (n_windows,).
-            slack: see posterior.
+            prior_inflation: see posterior.
 
         Returns:
             Base values, the effect's numbers, and changes of every window's local columns.
@@ -230,8 +230,8 @@ class Evidence:
             each[held] = _HELD
         joined, b = Joined(self.systems, size, each), self.n_base
         index = np.array([*range(b), *columns], int)
-        slack = self.slack if slack is None else slack
-        scale = np.concatenate((self.deviations, np.full(len(columns), slack)))
+        prior_inflation = self.prior_inflation if prior_inflation is None else prior_inflation
+        scale = np.concatenate((self.deviations, np.full(len(columns), prior_inflation)))
         now = np.concatenate((self.values, self.numbers[[c - b for c in columns]]))
         H = joined.reduced.matrix[np.ix_(index, index)] + np.diag((1 + damping) / scale**2)
         step = np.linalg.solve(0.5 * (H + H.T), joined.reduced.right[index] - now / scale**2)
@@ -241,29 +241,34 @@ class Evidence:
         return now[:b] + step[:b], now[b:] + step[b:], joined.locals(shared)
 
     def _at(
-        self, columns: Sequence[int], size: Discrepancy, slack: float | None = None, *, charge: bool = True
+        self,
+        columns: Sequence[int],
+        size: Discrepancy,
+        prior_inflation: float | None = None,
+        *,
+        penalised: bool = True,
     ) -> Posterior:
         reduced = self.reduced(size)
         index = np.array([*range(self.n_base), *columns], int)
-        slack = self.slack if slack is None else slack
-        scale = np.concatenate((self.deviations, np.full(len(columns), slack)))
+        prior_inflation = self.prior_inflation if prior_inflation is None else prior_inflation
+        scale = np.concatenate((self.deviations, np.full(len(columns), prior_inflation)))
         numbers = self.numbers[[c - self.n_base for c in columns]]
-        mean = np.concatenate((self.values / self.deviations, numbers / slack))
+        mean = np.concatenate((self.values / self.deviations, numbers / prior_inflation))
         H = np.eye(len(index)) + scale[:, None] * reduced.matrix[np.ix_(index, index)] * scale
         factor = positive_factor(H)
         right = scale * reduced.right[index] - mean
         white = cho_solve(factor, right)
         value = reduced.constant - reduced.determinant + 0.5 * right @ white - 0.5 * mean @ mean
-        if charge:
+        if penalised:
             value -= np.log(np.diag(factor[0])).sum()
         covariance = scale[:, None] * cho_solve(factor, np.diag(scale))
         b = self.n_base
         found = numbers + (scale * white)[b:]
-        return Posterior(float(value), size, found, covariance[b:, b:], tuple(columns), slack)
+        return Posterior(float(value), size, found, covariance[b:, b:], tuple(columns), prior_inflation)
 
 
-def sign_charge(lowest: Array) -> float:
-    """What an effect is charged for the choice of numbers that are not at their bounds, see Evidence.signed.
+def sign_penalty(lowest: Array) -> float:
+    """What an effect is penalised for the choice of numbers that are not at their bounds, see Evidence.signed.
 
     Args:
         lowest: 0 where a number cannot be negative, -inf elsewhere.

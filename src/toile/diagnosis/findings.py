@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from toile.diagnosis.base_fit import fitted_discrepancy
 from toile.diagnosis.continuity import Discrepancy
-from toile.diagnosis.evidence import sign_charge
+from toile.diagnosis.evidence import sign_penalty
 from toile.diagnosis.mechanics import Mechanics
 from toile.diagnosis.record import Estimate
 from toile.effects.base import CameraEffect, Effect
@@ -51,12 +51,12 @@ class Screening:
     Attributes:
         findings: of effects that move the cloth.
         free: which numbers of each are not at their bounds.
-        charges: log evidence that each has been charged for that choice.
+        penalties: log evidence that each has been penalised for that choice.
     """
 
     findings: dict[str, Finding]
     free: dict[str, tuple[int, ...]]
-    charges: dict[str, float]
+    penalties: dict[str, float]
 
 
 def mechanical_findings(mechanics: Mechanics, usual: Discrepancy) -> Screening:
@@ -73,7 +73,7 @@ def mechanical_findings(mechanics: Mechanics, usual: Discrepancy) -> Screening:
     base = evidence.posterior((), usual)
     findings: dict[str, Finding] = {}
     free: dict[str, tuple[int, ...]] = {}
-    charges: dict[str, float] = {}
+    penalties: dict[str, float] = {}
     for name, (a, b) in mechanics.columns.items():
         effect = mechanics.effects[name]
         if isinstance(effect, CameraEffect):
@@ -87,8 +87,8 @@ def mechanical_findings(mechanics: Mechanics, usual: Discrepancy) -> Screening:
         covariance[np.ix_(at, at)] = best.covariance
         findings[name] = finding(effect, best.log_evidence - base.log_evidence, mean, covariance)
         free[name] = tuple(at)
-        charges[name] = sign_charge(low)
-    return Screening(findings, free, charges)
+        penalties[name] = sign_penalty(low)
+    return Screening(findings, free, penalties)
 
 
 def naive_answer(mechanics: Mechanics, findings: Mapping[str, Finding]) -> str:

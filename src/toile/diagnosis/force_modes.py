@@ -13,20 +13,20 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-SLACK = 0.05
+TOLERANCE = 0.05
 """See n_balanced."""
 
 
-def n_balanced(held: Array, size: float, slack: float = SLACK) -> int:
+def n_balanced(held: Array, size: float, tolerance: float = TOLERANCE) -> int:
     """How many resultants and torques the holders leave alone: 6 without any, 3, 1 for a line, else 0.
 
     Args:
         held: positions of the held vertices (n_held, 3) [m].
         size: of the cloth [m].
-        slack: singular value of resultants and torques (over the size) of unit forces at the holders, below
+        tolerance: singular value of resultants and torques (over the size) of unit forces at the holders, below
             which a direction counts as free.
     """
-    return int(6 - (np.linalg.svd(_reactions(held, size), compute_uv=False) > slack).sum())
+    return int(6 - (np.linalg.svd(_reactions(held, size), compute_uv=False) > tolerance).sum())
 
 
 def external_first(fields: Array, masses: Array, positions: Array, held: Array, n: int) -> Array:

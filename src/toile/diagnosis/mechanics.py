@@ -50,7 +50,7 @@ class Mechanics:
     Attributes:
         shooting: the problem.
         fit: the base model.
-        evidence: of hypotheses; none about effects before the base model has settled, see refits.
+        evidence: of hypotheses; none about effects before the base model's refit has converged, see refits.
         columns: (first, last + 1) of every effect's columns, by name.
         effects: by name.
         around: the nominal clip on the model's grid.

@@ -33,21 +33,21 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class RefitSettings:
-    """When passes that settle the base model and fit effects end, and how far one goes.
+    """When passes that bring to convergence the base model and fit effects end, and how far one goes.
 
     Attributes:
-        promising: log evidence to first order from which on an effect is tried. Below zero, as what is weak
+        least_score: linearised screening score (log evidence to first order) from which on an effect is tried. Below zero, as what is weak
             to first order may be strong.
-        little: a settling pass that lowers the cost by less than this is the last one.
-        settled: log evidence by which a pass of a refit may change it and be the last one.
+        little: a pass of the base refit that lowers the cost by less than this is the last one.
+        converged: log evidence by which a pass of a refit may change it and be the last one.
         longest_wind: change of the wind in one pass at most [m/s²]; of stiffness see ShootingSettings.
         worst: share of the largest rise of a window's cost. Windows whose cost rises by more are held back
             where no step of all helps.
     """
 
-    promising: Finite = -4.0
+    least_score: Finite = -4.0
     little: NonNegative = 2.0
-    settled: NonNegative = 1.0
+    converged: NonNegative = 1.0
     longest_wind: Annotated[Positive, Unit("m/s²")] = 2.0
     worst: Fraction = 0.1
 
@@ -61,7 +61,7 @@ class Refit:
 
     Attributes:
         effects: in the model with their numbers, one or none. None as well where no step with the effect
-            lowered the cost: what it promised to first order is not there.
+            lowered the cost: its linearised score is not there.
         base: stiffness and wind.
         windows: simulated.
         gained: log evidence beyond that of the base model after as many passes.
@@ -80,7 +80,7 @@ class Refit:
 
 @dataclass(frozen=True)
 class Race:
-    """The base model and the promising effects at their best fits.
+    """The base model and the well-scoring effects at their best fits.
 
     Attributes:
         base: the base model, which has had as many passes as any effect.
@@ -107,7 +107,7 @@ class _Moved:
     damping: float
 
 
-def settled(
+def converged(
     mechanics: Mechanics,
     camera: Camera,
     usual: Discrepancy,
@@ -183,7 +183,7 @@ class Refitting:
     """A hypothesis on its way to its best fit, pass by pass from the base fit on.
 
     Args:
-        mechanics: settled, see there.
+        mechanics: converged, see there.
         effect: of the catalogue; None for the base model itself.
         columns: numbers of the effect that are free, the others stay zero.
         usual: discrepancy of a right model; the hypothesis has to do with it.
@@ -237,7 +237,7 @@ class Refitting:
             moved.windows, moved.values, moved.numbers, moved.effects, systems, place.log_evidences
         )
         # The first pass may lead through places that are worse.
-        little = abs(found.log_evidences[-1] - found.log_evidences[-2]) < self._settings.settled
+        little = abs(found.log_evidences[-1] - found.log_evidences[-2]) < self._settings.converged
         done = len(found.log_evidences) > 2 and moved.damping == 0 and little
         damping = mechanics.shooting.settings.damping.less(moved.damping)
         return replace(found, damping=damping, is_done=done)
@@ -304,20 +304,20 @@ def acting_with(effect: Effect, numbers: Array) -> Effect:
 
 def refits(
     mechanics: Mechanics,
-    promising: Mapping[str, Sequence[int]],
-    charges: Mapping[str, float],
+    best_scoring: Mapping[str, Sequence[int]],
+    penalties: Mapping[str, float],
     usual: Discrepancy,
     tried: Sequence[int],
     report: Callable[[str, float], None],
     workers: Workers = ALONE,
     settings: RefitSettings = DEFAULT,
 ) -> Race:
-    """The base model and the promising effects at their best fits, as a race: the last drop out early.
+    """The base model and the well-scoring effects at their best fits, as a race: the last drop out early.
 
     Args:
-        mechanics: settled, see there.
-        promising: numbers of each effect that are free, the most promising effect first.
-        charges: taken from the log evidence of each.
+        mechanics: converged, see there.
+        best_scoring: numbers of each effect that are free, the best-scoring effect first.
+        penalties: taken from the log evidence of each.
         usual: discrepancy of a right model.
         tried: effects that have a first pass, a second one, and so on.
         report: called with what has been done and the share that is done.
@@ -328,11 +328,11 @@ def refits(
     base = Refitting(mechanics, None, (), usual, settings)
     models = {
         name: Refitting(mechanics, mechanics.effects[name], columns, usual, settings)
-        for name, columns in list(promising.items())[: max(tried, default=0)]
+        for name, columns in list(best_scoring.items())[: max(tried, default=0)]
     }
     running = list(models)
     for count in tried:
-        running = sorted(running, key=lambda name: charges[name] - models[name].log_evidences[-1])[:count]
+        running = sorted(running, key=lambda name: penalties[name] - models[name].log_evidences[-1])[:count]
         going = {"the base model": base, **{name: models[name] for name in running}}
         places = workers.map(Refitting.advanced, list(going.values()))
         for (name, model), place in zip(going.items(), places, strict=True):
@@ -367,7 +367,7 @@ def _step(
     def cost(moved: list[WindowMotion], base: Array, own: Array) -> float:
         prior = (base / evidence.deviations) ** 2
         images = shooting.clip_cost(moved, best.discrepancy)
-        return images + 0.5 * float(prior.sum() + ((own[at] / best.slack) ** 2).sum())
+        return images + 0.5 * float(prior.sum() + ((own[at] / best.prior_inflation) ** 2).sum())
 
     before = cost(windows, evidence.values, numbers)
     seen = np.array([shooting.image_cost(window) for window in windows])
@@ -377,7 +377,7 @@ def _step(
         tried = damping
         for _ in range(damped.tried):
             values, own, changes = evidence.towards(
-                best.columns, best.discrepancy, tried, longest, held, best.slack
+                best.columns, best.discrepancy, tried, longest, held, best.prior_inflation
             )
             trial = numbers.copy()
             trial[at] = own
@@ -399,7 +399,7 @@ def _step(
             if risen is None:
                 risen = np.array([shooting.image_cost(window) for window in moved]) - seen
             tried = damped.more(tried)
-        # A fold that snaps at the slightest change makes its window worse whatever the others gain.
+        # Snap-through buckling at the slightest change makes its window worse whatever the others gain.
         held = None if risen is None else risen > settings.worst * risen.max()
         if held is None or held.all():
             return None

@@ -34,7 +34,7 @@ Single = NDArray[np.float32]
 class TangentSettings:
     """How fast a change may grow.
 
-    Where a fold is about to snap, changes grow without bounds and no tangent holds for long. Then the
+    Before snap-through buckling changes grow without bounds and no tangent holds for long. Then the
     smallest share of a convex Hessian is taken with which they are not faster than this.
 
     Attributes:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from toile.diagnosis.continuity import Discrepancy
 from toile.diagnosis.damping import Damping
-from toile.diagnosis.force_modes import SLACK, external_first, n_balanced
+from toile.diagnosis.force_modes import TOLERANCE, external_first, n_balanced
 from toile.diagnosis.sensitivities import Columns, KnownMotion, StepForces, TangentSettings
 from toile.diagnosis.template_tension import RIDGE, TemplateTension
 from toile.diagnosis.tracked import Tracked
@@ -55,7 +55,7 @@ class ShootingSettings:
         wind: of each horizontal component [m/s²].
         force: of each mode of the force per mass while the base is fitted [m/s²].
         external: of those among them that disturb the balance of torques [m/s²]; see force_modes.
-        trust: in the image term, whose errors are not independent from point to point; 1 if they were.
+        likelihood_weight: in the image term, whose errors are not independent from point to point; 1 if they were.
         holding: what a direction must have of the holders' forces not to count as free, see n_balanced.
         tension_ridge: of the tension that the template has already, see template_tension.
         newton_tolerance: out-of-balance force over the weight of a vertex that a simulated sub-step leaves:
@@ -86,8 +86,8 @@ class ShootingSettings:
     wind: Annotated[Positive, Unit("m/s²")] = 2.0
     force: Annotated[Positive, Unit("m/s²")] = 0.7
     external: Annotated[Positive, Unit("m/s²")] = 0.1
-    trust: Positive = 0.01
-    holding: Positive = SLACK
+    likelihood_weight: Positive = 0.01
+    holding: Positive = TOLERANCE
     tension_ridge: Positive = RIDGE
     newton_tolerance: Positive = 1e-3
     sweeps: Count = 1
@@ -186,7 +186,7 @@ class Shooting:
         self.grid = grid
         self.anchors = anchors
         self.tracked = tracked
-        self.weight = settings.trust
+        self.weight = settings.likelihood_weight
         self.settings = settings
         self.tension = next((t for t in simulator.terms if isinstance(t, TemplateTension)), None)
         self.masses = simulator.cloth.masses.numpy()

@@ -182,10 +182,10 @@ def prediction_gains(
     workers: Workers = ALONE,
     settings: PredictionSettings = DEFAULT,
 ) -> dict[str, float]:
-    """Log of how much better a window is foretold from the end of the one before, summed over fitted windows.
+    """Log of how much better a window is predicted from the end of the one before, summed over fitted windows.
 
-    Nothing is free within the window foretold; held-out frames are not looked at. An effect that only takes
-    up what the model cannot do otherwise foretells no better.
+    Nothing is free within the window predicted; held-out frames are not looked at. An effect that only takes
+    up what the model cannot do otherwise predicts no better.
 
     Args:
         mechanics: the problem.

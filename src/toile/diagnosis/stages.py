@@ -25,9 +25,9 @@ Array = NDArray[np.float64]
 TRACKING = "tracking"
 IMAGES = "images"
 BASE_MODEL = "base model and evidence"
-SETTLED = "settled base model"
+CONVERGED_BASE = "converged base model"
 REFITS = "refits"
-FORETELLING = "foretelling"
+WINDOW_PREDICTIONS = "window predictions"
 NUMERICS = "numerics"
 HELD_OUT = "held-out frames"
 MAPS = "maps"
@@ -37,9 +37,9 @@ FILES = {
     TRACKING: "tracked.npz",
     IMAGES: "stages/images.npz",
     BASE_MODEL: "stages/base_model.npz",
-    SETTLED: "stages/settled.npz",
+    CONVERGED_BASE: "stages/converged_base.npz",
     REFITS: "stages/refits.npz",
-    FORETELLING: "stages/foretelling.npz",
+    WINDOW_PREDICTIONS: "stages/window_predictions.npz",
     NUMERICS: "stages/numerics.npz",
     HELD_OUT: "stages/held_out.npz",
     MAPS: "stages/maps.npz",
@@ -51,20 +51,20 @@ _ORDER = (*FILES, ANSWER)
 # Stage that asks for a setting first; it and those after it depend on it. What is not listed counts from the
 # first stage on, so a setting that somebody forgets here costs time and is never overlooked.
 _FIRST_ASKED = {
-    "border": IMAGES,
-    "colours": IMAGES,
+    "outline": IMAGES,
+    "brightness": IMAGES,
     "exposure": IMAGES,
-    "grip": IMAGES,
+    "attachment_slip": IMAGES,
     "sides": BASE_MODEL,
     "shooting": BASE_MODEL,
     "longest_substep": BASE_MODEL,
     "refinement": BASE_MODEL,
-    "usual_discrepancy": SETTLED,
-    "settling_passes": SETTLED,
-    "evidence": SETTLED,
-    "refits": SETTLED,
+    "usual_discrepancy": CONVERGED_BASE,
+    "base_refits": CONVERGED_BASE,
+    "evidence": CONVERGED_BASE,
+    "refits": CONVERGED_BASE,
     "refitted": REFITS,
-    "prediction": FORETELLING,
+    "prediction": WINDOW_PREDICTIONS,
     "placebos": HELD_OUT,
     "compared": ANSWER,  # the stage of the held-out frames is told the names
     "weights": ANSWER,
@@ -115,7 +115,7 @@ class BaseModel:
 
 
 @dataclass(frozen=True)
-class SettledBase:
+class ConvergedBase:
     """The base model with forces of the size that it needs.
 
     Attributes:
@@ -130,11 +130,11 @@ class SettledBase:
 
 
 @dataclass(frozen=True)
-class Foretold:
-    """What refitted effects foretell.
+class WindowPredictions:
+    """What refitted effects predict.
 
     Attributes:
-        gains: logarithm by which each foretells windows better than the base model.
+        gains: logarithm by which each predicts windows better than the base model.
         sizes: how far each moves the cloth, over the cloth's width.
     """
 
@@ -159,7 +159,7 @@ KINDS = (
     BaseModel,
     Discrepancy,
     Finding,
-    Foretold,
+    WindowPredictions,
     GapMaps,
     HeldOut,
     Link,
@@ -167,7 +167,7 @@ KINDS = (
     Refit,
     Screening,
     Seen,
-    SettledBase,
+    ConvergedBase,
     Shrink,
     State,
     StepError,

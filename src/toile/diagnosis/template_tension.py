@@ -83,7 +83,7 @@ def template_tension(
     winds = [masses[:, None] * axis for axis in horizontal]
     others += [*winds, *(-wind for wind in winds)]
     beside = np.stack(others, -1)
-    # Columns of similar size: the others are charged for nothing.
+    # Columns of similar size: the others are penalised for nothing.
     beside /= np.maximum(np.linalg.norm(beside, axis=(0, 1)), 1e-300)
     system = np.concatenate((pulls, beside), -1)[free].reshape(-1, n + beside.shape[-1])
     charged = np.eye(n, system.shape[1]) * ridge

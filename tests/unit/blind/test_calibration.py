@@ -18,7 +18,7 @@ from toile.diagnosis.made_with import MADE_WITH_FILE, MadeWith
 from toile.errors import InputError
 
 SCENES = Path(__file__).parents[3] / "docs/results/calibration_scenes.csv"
-WITH = MadeWith.of({"diagnosis": {"sides": [20], "weights": {"foresight": 20.0}, "seed": 0}})
+WITH = MadeWith.of({"diagnosis": {"sides": [20], "weights": {"predictive": 20.0}, "seed": 0}})
 
 
 def _nulls(drags: list[float]) -> list[Case]:
@@ -131,8 +131,8 @@ def run_of(folder: Path, made_with: MadeWith, drag: float = 0.0) -> Path:
     np.savez(
         folder / SCREENING_FILE,
         names=np.array(["air_drag", "shading"]),
-        hindsight=np.array([drag, -2.0]),
-        foretold=np.array([0.1, np.nan]),
+        in_sample=np.array([drag, -2.0]),
+        prediction_gain=np.array([0.1, np.nan]),
         size=np.array([0.02, np.nan]),
         unknown=np.array(1.0),
         left=np.array(3.0),
@@ -147,7 +147,7 @@ def test_runs_become_a_table_and_a_table_the_same_scenes(tmp_path: Path) -> None
     runs = [run_of(tmp_path / name, WITH, drag) for name, drag in (("a", 0.0), ("b", 40.0), ("v", 3.0))]
     labels = {"a": NONE, "b": "air_drag", "v": "vortex", "elsewhere": NONE}
     table = calibration.read_runs(runs, labels, WITH)
-    cases = calibration.cases_of(table, Weights(hindsight=0.5, foresight=20.0), 15.0)
+    cases = calibration.cases_of(table, Weights(in_sample=0.5, predictive=20.0), 15.0)
     assert [case.truth for case in cases] == [NONE, "air_drag", UNKNOWN]
     assert cases[1].evidence == pytest.approx(
         {"air_drag": 0.5 * 40 + 20 * 0.1, "shading": -2.0, UNKNOWN: 0.5}
@@ -159,9 +159,9 @@ def test_runs_become_a_table_and_a_table_the_same_scenes(tmp_path: Path) -> None
 def test_runs_of_other_settings_are_refused(tmp_path: Path) -> None:
     """But for what evidence counts for, which is applied to what was measured."""
     run = run_of(tmp_path / "a", WITH)
-    weighed = MadeWith.of({"diagnosis": {"sides": [20], "weights": {"foresight": 40.0}}})
+    weighed = MadeWith.of({"diagnosis": {"sides": [20], "weights": {"predictive": 40.0}}})
     table = calibration.read_runs([run], {"a": NONE}, weighed)
-    coarse = MadeWith.of({"diagnosis": {"sides": [14], "weights": {"foresight": 20.0}}})
+    coarse = MadeWith.of({"diagnosis": {"sides": [14], "weights": {"predictive": 20.0}}})
     with pytest.raises(InputError, match=r"diagnosis.sides: \[20\], asked for: \[14\]"):
         calibration.read_runs([run], {"a": NONE}, coarse)
     path = calibration.write_table(tmp_path / "scenes.csv", table)
@@ -224,7 +224,7 @@ def test_a_wrong_calibration_is_named(tmp_path: Path, key: str, value: object, m
 
 def test_a_calibration_belongs_to_its_settings() -> None:
     made = Calibration({}, {}, 1.0, 4.0, 6.0, "test", WITH)
-    seeded = MadeWith.of({"diagnosis": {"sides": (20.0,), "weights": {"foresight": 20}, "seed": 7}})
+    seeded = MadeWith.of({"diagnosis": {"sides": (20.0,), "weights": {"predictive": 20}, "seed": 7}})
     use = made.use(seeded)
     assert use.calibrated
     assert use.differences == ()

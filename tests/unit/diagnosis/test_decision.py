@@ -87,7 +87,7 @@ def test_a_clip_that_says_nothing_speaks_for_nothing() -> None:
 
 
 def test_what_hardly_moves_the_cloth_counts_for_little() -> None:
-    weights = Weights(hindsight=0.5, foresight=10.0, smallest=0.01)
+    weights = Weights(in_sample=0.5, predictive=10.0, smallest=0.01)
     whole = weights.combined(40.0, 0.1)
     assert whole == pytest.approx(21.0)
     assert weights.combined(40.0, 0.1, 0.02) == whole
@@ -106,7 +106,7 @@ def test_no_more_recordings_are_asked_for_than_somebody_would_make() -> None:
 
 
 def test_what_the_time_step_is_wrong_by_comes_first() -> None:
-    weights = Weights(hindsight=0.5, foresight=10.0, smallest=0.01)
+    weights = Weights(in_sample=0.5, predictive=10.0, smallest=0.01)
     whole = weights.combined(40.0, 0.1, 0.02)
     assert weights.combined(40.0, 0.1, 0.02, 0.01) == whole
     assert weights.combined(40.0, 0.1, 0.02, 0.05) == pytest.approx(0.04 * whole)

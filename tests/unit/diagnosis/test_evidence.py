@@ -34,7 +34,7 @@ def problem(seed: int, true: float):
 def test_differences_are_those_of_the_marginal_likelihood(columns: tuple[int, ...]) -> None:
     systems, jacobians, data = problem(0, 0.5)
     deviations = np.array([1.0, 2.0])
-    evidence = Evidence(systems, np.zeros(2), deviations, EvidenceSettings(slack=1.5))
+    evidence = Evidence(systems, np.zeros(2), deviations, EvidenceSettings(prior_inflation=1.5))
 
     def exact(chosen: tuple[int, ...]) -> float:
         shared = [0, 1, *(2 + c for c in chosen)]
@@ -117,7 +117,7 @@ def test_the_search_finds_the_best_of_all_discrepancies(seed: int, largest: Disc
 
 
 def test_determinants_of_the_local_unknowns_may_come_from_elsewhere() -> None:
-    """What a motion that is about to snap adds to the evidence is none; means stay as they are."""
+    """What a motion about to snap through adds to the evidence is none; means stay as they are."""
     systems, _, _ = problem(4, 0.5)
     steep = [replace(s, matrix=s.matrix.copy()) for s in systems]
     for s in steep:
@@ -141,7 +141,7 @@ def test_all_the_way_to_the_mean_nothing_costs_less() -> None:
     values, numbers, changes = evidence.towards(best.columns, best.discrepancy, 0.0, np.full(2, np.inf))
 
     def cost(base: np.ndarray, own: np.ndarray, local: list[np.ndarray]) -> float:
-        total = 0.5 * float(base @ base) + 0.5 * float(own @ own) / best.slack**2
+        total = 0.5 * float(base @ base) + 0.5 * float(own @ own) / best.prior_inflation**2
         for s, moved in zip(systems, local, strict=True):
             full = np.concatenate((base, own, [0.0], moved))
             total += float(0.5 * full @ s.matrix @ full + s.gradient @ full)
@@ -245,7 +245,10 @@ def test_discrepancies_and_scales_of_the_settings_are_tried() -> None:
     assert evidence.posterior(()).discrepancy in (Discrepancy(0.4, 0.1), Discrepancy(0.1, 0.1))
     # Whatever their order is; none is as small as this, so the smallest stands for it.
     assert evidence.posterior((), Discrepancy(0.01, 0.01)).discrepancy == Discrepancy(0.1, 0.1)
-    both = [evidence.posterior((2, 3), slack=share * few.slack).log_evidence for share in few.scales]
+    both = [
+        evidence.posterior((2, 3), prior_inflation=share * few.prior_inflation).log_evidence
+        for share in few.scales
+    ]
     free = Discrepancy(np.inf, np.inf)
     assert evidence.scaled((2, 3), free).log_evidence == pytest.approx(max(both) - np.log(2))
     # A number that is surely positive and is said to be none.

@@ -54,4 +54,4 @@ def test_what_counts_as_held_is_a_setting() -> None:
     # Holders a hundredth of the cloth apart hardly resist a torque about the other two axes.
     near = np.array([[0.0, 0.0, 1.0], [0.005, 0.0, 1.0]])
     assert n_balanced(near, 0.5) == 3
-    assert n_balanced(near, 0.5, slack=0.001) == 1
+    assert n_balanced(near, 0.5, tolerance=0.001) == 1

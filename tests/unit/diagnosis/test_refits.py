@@ -14,7 +14,7 @@ from toile.diagnosis.effect_size import effect_size
 from toile.diagnosis.evidence import Evidence
 from toile.diagnosis.findings import mechanical_findings
 from toile.diagnosis.mechanics import Mechanics, effect_systems
-from toile.diagnosis.refits import Refit, RefitSettings, refits, settled
+from toile.diagnosis.refits import Refit, RefitSettings, converged, refits
 from toile.diagnosis.shooting import Shooting, ShootingSettings
 from toile.diagnosis.tracked import Tracked
 from toile.effects.base import Surroundings
@@ -62,7 +62,7 @@ def mechanics() -> Mechanics:
     seen = [np.eye(n, dtype=np.float32) / 0.002**2] * FRAMES
     tracked = Tracked(positions, seen, np.zeros_like(positions), positions)
     model = ImplicitSimulator(cloth, h, BDF2(), NewtonSettings(1e-3))
-    settings = ShootingSettings(modes=2, trust=1.0)
+    settings = ShootingSettings(modes=2, likelihood_weight=1.0)
     shooting = Shooting(
         model, SUBSTEPS, GRAVITY, HORIZONTAL, GRID, positions[:, cloth.held.numpy()], tracked, settings
     )
@@ -76,7 +76,7 @@ def mechanics() -> Mechanics:
     evidence = Evidence(systems, fit.values, base_deviations(shooting))
     assert evidence.n_base == N_BASE
     found = Mechanics(shooting, fit, evidence, columns, {e.NAME: e for e in effects}, around)
-    return settled(found, None, USUAL, 3)
+    return converged(found, None, USUAL, 3)
 
 
 def test_what_is_there_grows_and_what_is_not_goes(mechanics: Mechanics) -> None:
@@ -104,7 +104,7 @@ def race(mechanics: Mechanics, tried: tuple[int, ...]) -> tuple[Refit, dict[str,
     screened = mechanical_findings(mechanics, USUAL)
     order = sorted(NAMES, key=lambda name: -screened.findings[name].log_evidence)
     free = {name: screened.free[name] for name in order if screened.free[name]}
-    found = refits(mechanics, free, screened.charges, USUAL, tried, lambda what, share: None)
+    found = refits(mechanics, free, screened.penalties, USUAL, tried, lambda what, share: None)
     return found.base, found.effects
 
 
@@ -148,7 +148,7 @@ def test_a_hypothesis_is_done_when_the_settings_say(mechanics: Mechanics) -> Non
 
     def change(settings: RefitSettings) -> float:
         race = refits(
-            mechanics, free, screened.charges, USUAL, (1,), lambda what, share: None, settings=settings
+            mechanics, free, screened.penalties, USUAL, (1,), lambda what, share: None, settings=settings
         )
         moved = race.effects["anisotropic_stiffness"].base.wind - mechanics.fit.base.wind
         return float(np.abs(moved).max())

@@ -14,24 +14,24 @@ import numpy as np
 import pytest
 import torch
 
-from toile.diagnosis.border import BorderSettings
 from toile.diagnosis.continuity import Discrepancy
 from toile.diagnosis.diagnose import DiagnosisSettings
 from toile.diagnosis.evidence import EvidenceSettings
 from toile.diagnosis.fingerprint import code_fingerprint, fingerprint
+from toile.diagnosis.outline_cue import OutlineSettings
 from toile.diagnosis.shrinkage import PredictionSettings
 from toile.diagnosis.stage_store import Result, StageStore
 from toile.diagnosis.stage_times import StageTimes, read_times
 from toile.diagnosis.stages import (
     ANSWER,
     BASE_MODEL,
+    CONVERGED_BASE,
     FILES,
-    FORETELLING,
     HELD_OUT,
     IMAGES,
     REFITS,
-    SETTLED,
     TRACKING,
+    WINDOW_PREDICTIONS,
     settings_of,
 )
 from toile.diagnosis.stored_values import ValueStore
@@ -236,16 +236,16 @@ def test_stages_depend_on_the_settings_that_they_ask_for() -> None:
     assert changed(TRACKING, seed=1)
     assert not changed(IMAGES, longest_substep=0.01)
     assert changed(BASE_MODEL, longest_substep=0.01)
-    assert not changed(BASE_MODEL, settling_passes=1)
-    assert changed(SETTLED, settling_passes=1)
-    assert changed(HELD_OUT, settling_passes=1)
+    assert not changed(BASE_MODEL, base_refits=1)
+    assert changed(CONVERGED_BASE, base_refits=1)
+    assert changed(HELD_OUT, base_refits=1)
     assert changed(TRACKING, least_overlap=0.5)
-    assert not changed(TRACKING, border=BorderSettings(steps=50))
-    assert changed(IMAGES, border=BorderSettings(steps=50))
-    assert not changed(BASE_MODEL, evidence=EvidenceSettings(slack=2.0))
-    assert changed(SETTLED, evidence=EvidenceSettings(slack=2.0))
+    assert not changed(TRACKING, outline=OutlineSettings(steps=50))
+    assert changed(IMAGES, outline=OutlineSettings(steps=50))
+    assert not changed(BASE_MODEL, evidence=EvidenceSettings(prior_inflation=2.0))
+    assert changed(CONVERGED_BASE, evidence=EvidenceSettings(prior_inflation=2.0))
     assert not changed(REFITS, prediction=PredictionSettings(failed=-2.0))
-    assert changed(FORETELLING, prediction=PredictionSettings(failed=-2.0))
+    assert changed(WINDOW_PREDICTIONS, prediction=PredictionSettings(failed=-2.0))
     for after in ({"usual_cost": 1.0}, {"widened": 1.0}, {"calibration": "mine.json"}):
         assert not any(changed(stage, **after) for stage in FILES)
         assert changed(ANSWER, **after)

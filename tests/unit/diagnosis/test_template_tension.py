@@ -28,7 +28,7 @@ STEP = 0.01
 def move(
     cloth: Cloth, start: np.ndarray, stiffness: np.ndarray, frames: int, step: float, *terms
 ) -> np.ndarray:
-    """Frames of a fall from rest, (F, N, 3); long steps settle."""
+    """Frames of a fall from rest, (F, N, 3); long steps bring to convergence."""
     method = BDF2() if step <= STEP else BackwardEuler()
     simulator = ImplicitSimulator(cloth, step, method, NewtonSettings(1e-9), terms)
     x = torch.from_numpy(start.copy())[None]

@@ -1,6 +1,6 @@
 """The outline in frame 0, where the cloth is known: it tells a wrong camera and a wrong mask apart.
 
-Frame 0 is the template, so its border has a place in the image without any fit. The signed distance from
+Frame 0 is the template, so its outline has a place in the image without any fit. The signed distance from
 there to the mask's edge is noise for a right camera and a right mask, constant for a grown mask, and grows
 with the distance from the principal point for a wrong focal length or a distorted lens.
 """
@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class BorderSettings:
+class OutlineSettings:
     """How the outline of frame 0 is measured, and which errors of it are usual.
 
     Attributes:
@@ -38,10 +38,10 @@ class BorderSettings:
         least_reach: how far a normal is followed to both sides of the nearest edge, at least [px].
         reach: the same in multiples of the distance to that edge.
         steps: places along a normal that are looked at.
-        correlation: border points closer than this share their error [px].
+        correlation: points of the outline closer than this share their error [px].
         fewest: independent points that any outline has, however short it is.
         strengths: by how much stronger than its prior deviations say an effect may be; one is chosen and
-            charged for. Else the next best effect takes up what the prior forbids the right one.
+            penalised for. Else the next best effect takes up what the prior forbids the right one.
     """
 
     raster: Annotated[tuple[Positive, ...], Field(min_length=1), Unit("px")] = (0.2, 0.27, 0.37, 0.5)
@@ -55,11 +55,11 @@ class BorderSettings:
     strengths: Annotated[tuple[Positive, ...], Field(min_length=1)] = (1.0, 3.0, 10.0)
 
 
-DEFAULT = BorderSettings()
+DEFAULT = OutlineSettings()
 
 
 @dataclass(frozen=True)
-class Border:
+class Outline:
     """Border points of frame 0.
 
     Attributes:
@@ -75,7 +75,7 @@ class Border:
     independent: float
 
 
-def border(scene: Scene, settings: BorderSettings = DEFAULT) -> Border:
+def template_outline(scene: Scene, settings: OutlineSettings = DEFAULT) -> Outline:
     """Border of the template and its distance to the first mask."""
     pixels = scene.camera.project(scene.template).numpy().astype(np.float64)
     p = pixels
@@ -94,11 +94,11 @@ def border(scene: Scene, settings: BorderSettings = DEFAULT) -> Border:
     distances = _beyond(scene.masks[0].numpy() > 0.5, at, n, settings)
     length = float(np.linalg.norm(tangent, axis=1).sum() / 2)
     independent = max(settings.fewest, min(float(len(at)), length / settings.correlation))
-    return Border(at, n, distances, independent)
+    return Outline(at, n, distances, independent)
 
 
-def _beyond(mask: NDArray[np.bool_], at: Array, normals: Array, settings: BorderSettings) -> Array:
-    """How far the mask reaches beyond border points (n,) [px], on the mean over what is ragged."""
+def _beyond(mask: NDArray[np.bool_], at: Array, normals: Array, settings: OutlineSettings) -> Array:
+    """How far the mask reaches beyond points of the outline (n,) [px], on the mean over what is ragged."""
     # Distance to the edge between pixels: half a pixel off the centres on both sides of it.
     signed = np.where(mask, distance_transform_edt(mask) - 0.5, 0.5 - distance_transform_edt(~mask))
     nearest = _sample(signed, at)
@@ -119,7 +119,7 @@ def _sample(image: Array, at: Array) -> Array:
     return np.asarray(map_coordinates(image, [at[:, 1] - 0.5, at[:, 0] - 0.5], order=1, mode="nearest"))
 
 
-def border_columns(effect: Effect, scene: Scene, at: Border) -> Array:
+def outline_sensitivities(effect: Effect, scene: Scene, at: Outline) -> Array:
     """Change of the distances (n, n_parameters) per prior deviation of an effect's numbers, at zero."""
     if isinstance(effect, MaskEffect):
 
@@ -140,7 +140,7 @@ def border_columns(effect: Effect, scene: Scene, at: Border) -> Array:
 
 
 @dataclass(frozen=True)
-class BorderFit:
+class OutlineFit:
     """How well an effect explains the outline.
 
     Attributes:
@@ -153,29 +153,29 @@ class BorderFit:
     covariance: Array
 
 
-def border_evidence(
-    effect: Effect, scene: Scene, at: Border, settings: BorderSettings = DEFAULT
-) -> BorderFit:
+def outline_evidence(
+    effect: Effect, scene: Scene, at: Outline, settings: OutlineSettings = DEFAULT
+) -> OutlineFit:
     """Evidence of an effect of the camera or the mask from the outline of frame 0."""
     share = at.independent / len(at.distances)
     masked = isinstance(effect, MaskEffect)
     noises = [(noise, 0.0) for noise in settings.raster]
     noises += [(noise, 0.0 if masked else settings.ragged_against_camera) for noise in settings.ragged]
     null = max(_log_likelihood(at.distances, noise, share) for noise, _ in noises)
-    columns = border_columns(effect, scene, at)
+    columns = outline_sensitivities(effect, scene, at)
     if not columns.any():
-        return BorderFit(0.0, np.zeros(columns.shape[1]), np.eye(columns.shape[1]))
-    best: BorderFit | None = None
-    for strength, (noise, charge) in itertools.product(settings.strengths, noises):
+        return OutlineFit(0.0, np.zeros(columns.shape[1]), np.eye(columns.shape[1]))
+    best: OutlineFit | None = None
+    for strength, (noise, penalty) in itertools.product(settings.strengths, noises):
         J = strength * columns
         H = np.eye(J.shape[1]) + share * J.T @ J / noise**2
         covariance = np.linalg.inv(H)
         mean = covariance @ (share * J.T @ at.distances / noise**2)
         left = _log_likelihood(at.distances - J @ mean, noise, share)
         value = left - 0.5 * float(mean @ mean) - 0.5 * float(np.linalg.slogdet(H)[1])
-        value -= charge + math.log(len(settings.strengths))
+        value -= penalty + math.log(len(settings.strengths))
         if best is None or value - null > best.log_evidence:
-            best = BorderFit(value - null, strength * mean, strength**2 * np.asarray(covariance, np.float64))
+            best = OutlineFit(value - null, strength * mean, strength**2 * np.asarray(covariance, np.float64))
     assert best is not None
     return best
 

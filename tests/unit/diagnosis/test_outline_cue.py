@@ -9,7 +9,7 @@ import pytest
 import torch
 from scipy.ndimage import binary_dilation, binary_erosion, distance_transform_edt, gaussian_filter
 
-from toile.diagnosis.border import BorderSettings, border, border_evidence
+from toile.diagnosis.outline_cue import OutlineSettings, outline_evidence, template_outline
 from toile.effects.catalogue import CATALOGUE
 from toile.generation.generator import GeneratorSettings, generate
 from toile.generation.textures import procedural_texture
@@ -34,13 +34,13 @@ def scene() -> Scene:
 
 
 def evidence(scene: Scene) -> dict[str, float]:
-    outline = border(scene)
-    return {name: border_evidence(CATALOGUE[name](), scene, outline).log_evidence for name in NAMES}
+    outline = template_outline(scene)
+    return {name: outline_evidence(CATALOGUE[name](), scene, outline).log_evidence for name in NAMES}
 
 
 def test_a_right_scene_speaks_for_nothing(scene: Scene) -> None:
     assert max(evidence(scene).values()) < 0
-    assert abs(float(border(scene).distances.mean())) < 0.25
+    assert abs(float(template_outline(scene).distances.mean())) < 0.25
 
 
 @pytest.mark.parametrize("pixels", [3, -3])
@@ -51,7 +51,7 @@ def test_a_grown_or_shrunken_mask(scene: Scene, pixels: int) -> None:
     found = evidence(wrong)
     assert max(found, key=lambda name: found[name]) == "mask_bias"
     assert found["mask_bias"] > 20
-    fit = border_evidence(CATALOGUE["mask_bias"](), wrong, border(wrong))
+    fit = outline_evidence(CATALOGUE["mask_bias"](), wrong, template_outline(wrong))
     assert float(fit.mean[0]) * CATALOGUE["mask_bias"]().scales[0] == pytest.approx(pixels, abs=1)
 
 
@@ -60,7 +60,7 @@ def test_a_wrong_focal_length(scene: Scene) -> None:
     wrong = replace(scene, camera=camera)
     found = evidence(wrong)
     assert max(found, key=lambda name: found[name]) == "focal_error"
-    fit = border_evidence(CATALOGUE["focal_error"](), wrong, border(wrong))
+    fit = outline_evidence(CATALOGUE["focal_error"](), wrong, template_outline(wrong))
     assert float(fit.mean[0]) * CATALOGUE["focal_error"]().scales[0] == pytest.approx(0.06, abs=0.01)
 
 
@@ -78,9 +78,9 @@ def test_a_ragged_mask_counts_by_its_mean(scene: Scene) -> None:
     ragged = distance_transform_edt(~mask) <= 6.0 * (1 + 0.5 * noise / noise.std())
     masks = torch.from_numpy(mask | ragged).float()
     wrong = replace(scene, masks=masks[None].expand_as(scene.masks))
-    assert float(border(wrong).distances.mean()) == pytest.approx(5.5, abs=0.8)
+    assert float(template_outline(wrong).distances.mean()) == pytest.approx(5.5, abs=0.8)
     effect = CATALOGUE["mask_bias"]()
-    fit = border_evidence(effect, wrong, border(wrong))
+    fit = outline_evidence(effect, wrong, template_outline(wrong))
     assert float(fit.mean[0] * effect.scales[0]) == pytest.approx(5.5, abs=0.8)
 
 
@@ -100,15 +100,17 @@ def test_a_lens_many_prior_deviations_from_none(scene: Scene) -> None:
 
 
 def test_the_outline_is_judged_by_the_settings(scene: Scene) -> None:
-    fine, coarse = (border(scene, BorderSettings(correlation=length, fewest=1.0)) for length in (40.0, 80.0))
+    fine, coarse = (
+        template_outline(scene, OutlineSettings(correlation=length, fewest=1.0)) for length in (40.0, 80.0)
+    )
     assert coarse.independent == pytest.approx(0.5 * fine.independent)
-    assert border(scene, BorderSettings(fewest=50.0)).independent == 50.0
+    assert template_outline(scene, OutlineSettings(fewest=50.0)).independent == 50.0
     camera = replace(scene.camera, fx=scene.camera.fx / 1.06, fy=scene.camera.fy / 1.06)
     wrong = replace(scene, camera=camera)
-    outline, effect = border(wrong), CATALOGUE["focal_error"]()
-    # Three times the prior deviation is wanted here; without the choice nothing is charged for it.
+    outline, effect = template_outline(wrong), CATALOGUE["focal_error"]()
+    # Three times the prior deviation is wanted here; without the choice nothing is penalised for it.
     fits = {
-        strengths: border_evidence(effect, wrong, outline, BorderSettings(strengths=strengths))
+        strengths: outline_evidence(effect, wrong, outline, OutlineSettings(strengths=strengths))
         for strengths in ((1.0,), (1.0, 3.0, 10.0), (3.0,))
     }
     assert fits[3.0,].log_evidence == pytest.approx(fits[1.0, 3.0, 10.0].log_evidence + np.log(3))

@@ -1,4 +1,4 @@
-"""A held vertex that slips through its grip, from where the held vertices were tracked.
+"""A held vertex that slips through its attachment, from where the held vertices were tracked.
 
 Held vertices are mostly held by one body, so what they do relative to each other is small or slow: a share of
 their common motion, slow sway of two hands, and errors of tracking, which drift and are far larger along the
@@ -25,19 +25,19 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class GripSettings:
+class SlipSettings:
     """What held vertices do without slipping, errors of their tracking among it, and how slips look.
 
     Lists are tried side by side and averaged over.
 
     Attributes:
-        settling: first frames that say nothing: tracking is still leaving the template there.
+        first_frames: first frames that say nothing: tracking is still leaving the template there.
         stays: frames after a ramp in which the displacement is seen to stay.
         durations: of ramps [s].
         across: deviations of the errors of tracking across the rays [m].
         memory: times over which those last [s].
         along: by which factor errors along the rays are larger.
-        white: errors that every frame makes on its own, across the rays [m].
+        independent: errors that every frame makes on its own, across the rays [m].
         jump: deviations of its errors by which the tracker jumps.
         well_tracked: error [m] from which on jumps grow with its square, as a tracker that follows badly
             loses its hold altogether.
@@ -51,13 +51,13 @@ class GripSettings:
             slips by its own path.
     """
 
-    settling: CountOrZero = 3
+    first_frames: CountOrZero = 3
     stays: Count = 3
     durations: Annotated[tuple[Positive, ...], Field(min_length=1), Unit("s")] = (0.06, 0.12, 0.24, 0.4)
     across: Annotated[tuple[Positive, ...], Field(min_length=1), Unit("m")] = (0.0015, 0.003, 0.006, 0.012)
     memory: Annotated[tuple[Positive, ...], Field(min_length=1), Unit("s")] = (0.1, 0.5)
     along: Annotated[float, Field(ge=1, allow_inf_nan=False)] = 5.0
-    white: Annotated[Positive, Unit("m")] = 0.0005
+    independent: Annotated[Positive, Unit("m")] = 0.0005
     jump: Positive = 2.5
     well_tracked: Annotated[Positive, Unit("m")] = 0.0015
     farthest: Annotated[Positive, Unit("m")] = 0.04
@@ -68,7 +68,7 @@ class GripSettings:
     odds: Annotated[float, Field(ge=1, allow_inf_nan=False)] = 20.0
 
 
-DEFAULT = GripSettings()
+DEFAULT = SlipSettings()
 
 
 @dataclass(frozen=True)
@@ -95,20 +95,20 @@ def slip_evidence(
     positions: Array,
     fps: float,
     pull: Array | None = None,
-    settings: GripSettings = DEFAULT,
+    settings: SlipSettings = DEFAULT,
 ) -> SlipFit:
     """Evidence that one of the held vertices slips.
 
     Every vertex is judged by its displacement relative to the mean of the others, so what all do together
     does not matter. All unknowns but the sizes are Gaussian; sizes of errors and of sway, vertex, start and
-    duration are averaged over, so trying them is charged for. With two held vertices their relative motion
+    duration are averaged over, so trying them is penalised for. With two held vertices their relative motion
     alone does not tell which one slips; the pull and the one that departs more from its own path decide.
 
     Args:
         effect: gives the prior deviations of the displacement; its vertex, start and duration do not matter.
         positions: tracked held positions (F, n_held, 3) [m] in the camera's frame.
         fps: frames per second.
-        pull: direction (n_held, 3) in which the cloth pulls at each of them; a grip only gives way to it.
+        pull: direction (n_held, 3) in which the cloth pulls at each of them; an attachment only gives way to it.
             None if unknown.
         settings: see GripSettings.
 
@@ -135,7 +135,7 @@ def slip_evidence(
     if n < 2 or not ramps:
         return SlipFit(0.0, np.zeros(3), np.eye(3), 0, 0.0, 0.1)
     scales = effect.scales.numpy()
-    shapes = np.stack([_ramp(F, fps, *ramp)[settings.settling :] for ramp in ramps])
+    shapes = np.stack([_ramp(F, fps, *ramp)[settings.first_frames :] for ramp in ramps])
     solved = [_solved(positions, i, fps, shapes, settings) for i in range(n if n > 2 else 1)]
     if n == 2:
         solved.append(solved[0].mirrored())
@@ -152,10 +152,10 @@ def slip_evidence(
     return SlipFit(total, mean, covariance, vertex, *ramps[best])
 
 
-def _ramps(n_frames: int, fps: float, settings: GripSettings) -> list[tuple[float, float]]:
+def _ramps(n_frames: int, fps: float, settings: SlipSettings) -> list[tuple[float, float]]:
     """Starts and durations [s] that are tried."""
     last = (n_frames - 1 - settings.stays) / fps
-    starts = np.arange(settings.settling, n_frames) / fps
+    starts = np.arange(settings.first_frames, n_frames) / fps
     return [(float(t), d) for d, t in product(settings.durations, starts) if t + d <= last]
 
 
@@ -186,12 +186,12 @@ class _Solved:
         return _Solved(self.null, -self.slope, self.information, self.jumps)
 
 
-def _solved(positions: Array, vertex: int, fps: float, shapes: Array, settings: GripSettings) -> _Solved:
+def _solved(positions: Array, vertex: int, fps: float, shapes: Array, settings: SlipSettings) -> _Solved:
     s, n = settings, positions.shape[1]
     others = [i for i in range(n) if i != vertex]
-    moved = positions - positions[s.settling]
-    relative = (moved[:, vertex] - moved[:, others].mean(1))[s.settling :].reshape(-1)
-    common = moved.mean(1)[s.settling :]
+    moved = positions - positions[s.first_frames]
+    relative = (moved[:, vertex] - moved[:, others].mean(1))[s.first_frames :].reshape(-1)
+    common = moved.mean(1)[s.first_frames :]
     rays = positions[0] / np.linalg.norm(positions[0], axis=-1, keepdims=True)
     # Errors of a vertex and of a mean of others, each along its own ray.
     along = np.einsum("na,nb->nab", rays, rays)
@@ -203,7 +203,7 @@ def _solved(positions: Array, vertex: int, fps: float, shapes: Array, settings: 
     share = s.share**2 * np.einsum("ta,ub,ab->taub", common, common, np.eye(3)).reshape(3 * T, -1)
     null, slope, information, jumps = [], [], [], []
     for across, memory, sway in product(s.across, s.memory, s.sway):
-        drift = across**2 * np.exp(-lag / memory) + s.offset**2 + s.white**2 * np.eye(T)
+        drift = across**2 * np.exp(-lag / memory) + s.offset**2 + s.independent**2 * np.eye(T)
         C = np.kron(drift, errors) + share
         C += np.kron(sway**2 * np.exp(-0.5 * (lag / s.slow) ** 2), 2 * np.eye(3))
         factor = cho_factor(C, lower=True)
@@ -219,7 +219,7 @@ def _solved(positions: Array, vertex: int, fps: float, shapes: Array, settings: 
 
 
 def _gains(solved: _Solved, roots: Array) -> tuple[Array, Array, Array]:
-    """Log evidence (h, k), mean and covariance of white displacements; roots (h, 3, 3) make them metres."""
+    """Log evidence (h, k), mean and covariance of standardised displacements; roots (h, 3, 3) make them metres."""
     b = np.einsum("hba,hkb->hka", roots, solved.slope)
     H = np.eye(3) + np.einsum("hba,hkbc,hcd->hkad", roots, solved.information, roots)
     V = np.linalg.inv(H)
@@ -235,7 +235,7 @@ def _judged(solved: _Solved, scales: Array, pull: Array | None) -> tuple[Array, 
     null = solved.null + np.logaddexp(0.0, jumped) - np.log(2)
     gain, m, V = _gains(solved, np.broadcast_to(np.diag(scales), (n_sizes, 3, 3)))
     if pull is not None:
-        # Half of all directions are open to a grip that gives way.
+        # Half of all directions are open to an attachment that gives way.
         u = pull * scales
         gain = gain + np.log(2) + log_ndtr((m @ u) / np.sqrt(np.einsum("a,hkab,b->hk", u, V, u)))
     values = solved.null[:, None] + gain
@@ -247,11 +247,11 @@ def _judged(solved: _Solved, scales: Array, pull: Array | None) -> tuple[Array, 
     return np.asarray(total - logsumexp(null)), mean, covariance
 
 
-def _which(table: Array, positions: Array, shapes: Array, settings: GripSettings) -> int:
+def _which(table: Array, positions: Array, shapes: Array, settings: SlipSettings) -> int:
     """The vertex whose own path has the most of the ramp, among those that are about equally probable."""
     rows = logsumexp(table, axis=1)
     shape = shapes[int(np.argmax(table[int(np.argmax(rows))]))]
-    moved = positions[settings.settling :]
+    moved = positions[settings.first_frames :]
     before, after = shape == 0, shape == 1
     before[0] = True
     # Next to the ramp, so that slow motion matters less.

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from toile.diagnosis.attachment_slip import SlipSettings, slip_evidence
 from toile.diagnosis.findings import finding
-from toile.diagnosis.grip import GripSettings, slip_evidence
 from toile.effects.anchor_slip import AnchorSlip
 from toile.errors import InputError
 
@@ -160,10 +160,10 @@ def test_hands_that_the_settings_let_sway_explain_a_slip() -> None:
     positions = positions + errors(np.random.default_rng(3), 0.002, 0.3)
     usual = slip_evidence(AnchorSlip(), positions, FPS, PULL)
     assert usual.log_evidence > 2
-    swaying = GripSettings(sway=(0.05,), slow=0.1)
+    swaying = SlipSettings(sway=(0.05,), slow=0.1)
     assert slip_evidence(AnchorSlip(), positions, FPS, PULL, swaying).log_evidence < usual.log_evidence - 2
     # A ramp of a quarter of a second alone is tried.
-    slow = slip_evidence(AnchorSlip(), positions, FPS, PULL, GripSettings(durations=(0.24,)))
+    slow = slip_evidence(AnchorSlip(), positions, FPS, PULL, SlipSettings(durations=(0.24,)))
     assert slow.duration == 0.24
-    late = slip_evidence(AnchorSlip(), positions, FPS, PULL, GripSettings(settling=16))
+    late = slip_evidence(AnchorSlip(), positions, FPS, PULL, SlipSettings(first_frames=16))
     assert late.start >= 16 / FPS

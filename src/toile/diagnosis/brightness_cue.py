@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class ColourSettings:
+class BrightnessSettings:
     """How brightness on the cloth is read, and how well it is known.
 
     Attributes:
@@ -36,7 +36,7 @@ class ColourSettings:
         shown: share of a patch that must be seen for the patch to count.
         noise: deviation of the logarithm of a patch's brightness, whatever the image.
         shared_error: patches that err as one: frames in a row and patches side by side do.
-        passes: in which the frames are weighted by what is left of them; it settles within a few.
+        passes: in which the frames are weighted by what is left of them; it converges within a few.
     """
 
     patches: Count = 8
@@ -54,11 +54,11 @@ class ColourSettings:
         return self.patches * self.per_patch
 
 
-DEFAULT = ColourSettings()
+DEFAULT = BrightnessSettings()
 
 
 @dataclass(frozen=True)
-class Colours:
+class Brightness:
     """Colours on a lattice over the cloth.
 
     Attributes:
@@ -72,7 +72,9 @@ class Colours:
     normals: Array
 
 
-def colours(reconstruction: Reconstruction, positions: Array, settings: ColourSettings = DEFAULT) -> Colours:
+def measured_brightness(
+    reconstruction: Reconstruction, positions: Array, settings: BrightnessSettings = DEFAULT
+) -> Brightness:
     """Read the colours at tracked positions of the first frames (F, N, 3)."""
     scene = reconstruction.scene
     n, m = settings.lattice, settings.patches
@@ -102,11 +104,11 @@ def colours(reconstruction: Reconstruction, positions: Array, settings: ColourSe
     brightness = np.where(seen > settings.shown, np.log(np.maximum(now, 1e-3) / np.maximum(first, 1e-3)), 0.0)
     patch_normals = patch(normals).mean((2, 4)).reshape(len(grey), -1, 3)
     patch_normals /= np.maximum(np.linalg.norm(patch_normals, axis=-1, keepdims=True), 1e-9)
-    return Colours(brightness, np.where(seen > settings.shown, seen, 0), patch_normals)
+    return Brightness(brightness, np.where(seen > settings.shown, seen, 0), patch_normals)
 
 
 @dataclass(frozen=True)
-class ColourFit:
+class BrightnessFit:
     """How well an effect explains the colours.
 
     Attributes:
@@ -124,12 +126,12 @@ class ColourFit:
 
 
 def brightness_evidence(
-    effect: BrightnessEffect, seen: Colours, settings: ColourSettings = DEFAULT
-) -> ColourFit:
+    effect: BrightnessEffect, seen: Brightness, settings: BrightnessSettings = DEFAULT
+) -> BrightnessFit:
     """Evidence that light on turning surfaces explains the changes of brightness.
 
     The light may turn during the clip: besides the effect's own columns there are the same with slow changes
-    in time, which a fixed light does not need and the evidence charges for.
+    in time, which a fixed light does not need and the evidence penalises.
 
     The noise of every frame is its own, that of a sensor and what light does not explain there: where the
     tracking is lost, colours are those of other places, and a few such frames must not decide. It is profiled
@@ -152,7 +154,7 @@ def brightness_evidence(
         turning.append(seen.normals * np.sin(0.5 * np.pi * k * np.arange(F) / max(F - 1, 1))[:, None, None])
     y = seen.brightness
     total = (weights * y**2).sum(1)
-    best: ColourFit | None = None
+    best: BrightnessFit | None = None
     for columns in (fixed, np.concatenate(turning, -1)):
         mean = np.zeros(columns.shape[-1])
         rest = total
@@ -165,7 +167,7 @@ def brightness_evidence(
         there = counts > 0
         gain = counts[there] * np.log((counts + total)[there] / (counts + rest)[there])
         value = 0.5 * float(gain.sum() - mean @ mean - np.linalg.slogdet(H)[1]) - float(np.log(2))
-        found = ColourFit(
+        found = BrightnessFit(
             value,
             mean[: len(scales)],
             np.asarray(np.linalg.inv(H)[: len(scales), : len(scales)], np.float64),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from toile.diagnosis.colours import Colours, ColourSettings, brightness_evidence
+from toile.diagnosis.brightness_cue import Brightness, BrightnessSettings, brightness_evidence
 from toile.effects.catalogue import CATALOGUE
 
 F, P = 20, 64
@@ -19,8 +19,8 @@ def turning(seed: int = 0) -> np.ndarray:
     return n / np.linalg.norm(n, axis=-1, keepdims=True)
 
 
-def seen(brightness: np.ndarray, normals: np.ndarray) -> Colours:
-    return Colours(brightness, np.ones((F, P)), normals)
+def seen(brightness: np.ndarray, normals: np.ndarray) -> Brightness:
+    return Brightness(brightness, np.ones((F, P)), normals)
 
 
 def test_shading_explains_what_lambert_makes() -> None:
@@ -67,7 +67,7 @@ def test_light_is_as_sure_as_the_settings_say() -> None:
     shown = seen(np.log(lit / lit[0]) + noise, normals)
 
     def gain(**settings: float) -> float:
-        return brightness_evidence(CATALOGUE["shading"](), shown, ColourSettings(**settings)).log_evidence
+        return brightness_evidence(CATALOGUE["shading"](), shown, BrightnessSettings(**settings)).log_evidence
 
     # Frames that share less of their error say more, brightness that is known worse says less.
     assert gain(shared_error=2.0) > 2 * gain()
