@@ -76,15 +76,15 @@ def skirt(n_vertices: int) -> tuple[Tensor, Tensor, tuple[int, ...]]:
 def swing(cloth: Cloth, x: Tensor, simulator: ImplicitSimulator, *, linearize: bool = False) -> Rollout:
     """The skirt while its waist swings sideways and turns."""
     t = torch.arange(FRAMES, dtype=torch.float64) / RATE
-    waist = x[cloth.held]
-    anchors = waist.repeat(FRAMES, 1, 1)
+    waist = x[cloth.pinned]
+    boundary = waist.repeat(FRAMES, 1, 1)
     angle = 0.3 * (1 - torch.cos(8 * t))[:, None]
-    anchors[..., 0] = waist[:, 0] * angle.cos() + waist[:, 2] * angle.sin() + 0.05 * torch.sin(6 * t)[:, None]
-    anchors[..., 2] = waist[:, 2] * angle.cos() - waist[:, 0] * angle.sin()
+    boundary[..., 0] = waist[:, 0] * angle.cos() + waist[:, 2] * angle.sin() + 0.05 * torch.sin(6 * t)[:, None]
+    boundary[..., 2] = waist[:, 2] * angle.cos() - waist[:, 0] * angle.sin()
     gravity = torch.tensor([0.0, 9.81, 0.0], dtype=torch.float64)
     forces = (cloth.masses[:, None] * gravity).expand(1, FRAMES - 1, -1, 3)
     state = State.start(x[None], torch.zeros_like(x)[None], 1 / RATE, simulator.n_past)
-    return rollout(simulator, state, cloth.material(**COTTON), forces, anchors[None], 1, linearize=linearize)
+    return rollout(simulator, state, cloth.material(**COTTON), forces, boundary[None], 1, linearize=linearize)
 
 
 def seconds(call: Callable[[], object], repeats: int) -> float:
@@ -119,11 +119,11 @@ def row(n_vertices: int, repeats: int) -> list[object]:
 
     linear = LinearizedRollout(simulator, swing(cloth, x, simulator, linearize=True))
     rng = np.random.default_rng(1)
-    n, held = cloth.n_vertices, len(cloth.held)
+    n, pinned = cloth.n_vertices, len(cloth.pinned)
     change = Perturbation(
         rng.normal(size=(FRAMES - 1, n, 3)),
         rng.normal(size=cloth.energies.n_coefficients),
-        rng.normal(size=(FRAMES, held, 3)),
+        rng.normal(size=(FRAMES, pinned, 3)),
         rng.normal(size=(n, 3)),
         rng.normal(size=(n, 3)),
     )

@@ -1,7 +1,7 @@
 """Speed of the implicit solver: its parts, Newton steps cold and warm, adjoints and tangents.
 
 ``python benchmarks/bench_solver.py [--grid 32] [--substeps 1 2 4] [--threads 1] [--csv table.csv]`` prints a
-Markdown table. The scene: a cloth of 0.55 m side held at two corners that sway and come closer, released from
+Markdown table. The scene: a cloth of 0.55 m side pinned at two corners that sway and come closer, released from
 a smooth bend, 16 frames at 30 Hz, BDF2.
 """
 
@@ -96,9 +96,9 @@ class Scene:
         across, depth = step * torch.cos(angle).cumsum(1), step * torch.sin(angle).cumsum(1)
         self.start = torch.stack((across - SIDE / 2, i, 1.2 + depth), -1).reshape(1, -1, 3)
         t = torch.arange(frames, dtype=torch.float64) / FRAME_RATE
-        self.anchors = self.start[:, None, self.cloth.held].repeat(1, frames, 1, 1)
-        self.anchors[..., 2] += 0.05 * (1 - torch.cos(6 * t))[None, :, None]
-        self.anchors[:, :, 0, 0] += 0.02 * (1 - torch.cos(4 * t))
+        self.boundary = self.start[:, None, self.cloth.pinned].repeat(1, frames, 1, 1)
+        self.boundary[..., 2] += 0.05 * (1 - torch.cos(6 * t))[None, :, None]
+        self.boundary[:, :, 0, 0] += 0.02 * (1 - torch.cos(4 * t))
         gravity = torch.tensor([0.0, 9.81, 0.0], dtype=torch.float64)
         self.forces = (self.cloth.masses[:, None] * gravity).expand(1, frames - 1, -1, 3).contiguous()
         self.material = grid_material(*torch.from_numpy(STIFFNESS)[:, None].unbind(0))
@@ -111,7 +111,7 @@ class Scene:
         m = self.material
         material = grid_material(m["stretching"] * scale, m["shearing"] * scale, m["bending"] * scale)
         return rollout(
-            self.simulator, state, material, self.forces, self.anchors, self.substeps, warm_start, **more
+            self.simulator, state, material, self.forces, self.boundary, self.substeps, warm_start, **more
         )
 
 

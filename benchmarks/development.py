@@ -139,7 +139,7 @@ def table(scenes: list[PlannedScene], runs: Path) -> str:
     null = rows[rows["effect"] == "none"]
     named = int((single["answer"] == single["effect"]).sum())
     first = int((single["rank of its evidence"] == "1").sum())
-    held = sum(t in c.split(", ") for t, c in zip(single["effect"], single["candidates"], strict=True))
+    pinned = sum(t in c.split(", ") for t, c in zip(single["effect"], single["candidates"], strict=True))
     left = len(planned()) - len(scenes)
     naive = int((single["naive answer"] == single["effect"]).sum())
     return (
@@ -148,7 +148,7 @@ def table(scenes: list[PlannedScene], runs: Path) -> str:
         "their own (`benchmarks/development.py`). They chose settings and calibration: "
         "**they are no test.**\n\n"
         f"Of {len(single)} scenes with one effect that moves the cloth, {named} are named (naive: {naive}), "
-        f"{held} have it in the 90 % set, and in {first} its evidence is the strongest of these effects'; of "
+        f"{pinned} have it in the 90 % set, and in {first} its evidence is the strongest of these effects'; of "
         f"{len(null)} nulls {int((null['answer'] == 'none').sum())} are `none`. {left} of the planned scenes "
         "were not run.\n\n" + rows.to_markdown(index=False) + "\n"
     )

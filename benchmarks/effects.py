@@ -77,7 +77,7 @@ SETTINGS = GeneratorSettings(
     n_frames=25,
     fps=25.0,
     cloth_size=(0.5, 0.5),
-    held_motion=Shake((0.02, 0.0, 0.05), frequency=1.4),
+    pinned_motion=Shake((0.02, 0.0, 0.05), frequency=1.4),
     distance=1.1,
     image_size=(420, 420),
     focal_length=620.0,
@@ -187,7 +187,7 @@ def blank() -> Scene:
         cloth_size=SETTINGS.cloth_size,
         gravity=torch.tensor(SETTINGS.gravity, dtype=torch.float64),
         fps=SETTINGS.fps,
-        held_vertices=start.held,
+        pinned_vertices=start.pinned,
     )
 
 
@@ -198,12 +198,12 @@ def problem(effects: FitEffects, stiffness: Array, wind: Sequence[float]) -> Rec
     units = scene_units(scene, DENSITY)
     y, s, b = stiffness
     parameters = ClothParameters(
-        scene.n_frames, cloth.n_vertices, len(cloth.held), units, stretching=y, shearing=s, bending=b
+        scene.n_frames, cloth.n_vertices, len(cloth.pinned), units, stretching=y, shearing=s, bending=b
     )
     times = torch.arange(scene.n_frames, dtype=torch.float64) / scene.fps
     with torch.no_grad():
         parameters.wind.copy_(torch.tensor(wind))
-        parameters.anchor_motion.copy_(SETTINGS.held_motion.displacement(times)[:, None].expand(-1, 2, -1))
+        parameters.boundary_motion.copy_(SETTINGS.pinned_motion.displacement(times)[:, None].expand(-1, 2, -1))
 
     def simulator(cloth, step, terms=()):  # type: ignore[no-untyped-def]
         return ImplicitSimulator(cloth, step, BDF2(), NewtonSettings(tolerance=1e-6), terms)
@@ -303,7 +303,7 @@ def deviations(made: Reconstruction, unknowns: WindowUnknowns) -> dict[str, Arra
             replace(start, positions=start.positions.detach()),
             grid_material(k[0], k[1], k[2]),
             torch.from_numpy(given.forces)[None],
-            torch.from_numpy(given.anchors)[None],
+            torch.from_numpy(given.boundary)[None],
             SUBSTEPS,
             linearize=True,
             throw=False,

@@ -148,7 +148,7 @@ def sources(outputs: Path) -> list[Source]:
     for name, more in {
         "demo": (),
         "shaken": (
-            "held_motion=shake",
+            "pinned_motion=shake",
             "settings.image_size=[540,960]",
             "settings.focal_length=780",
             "settings.seed=5",

@@ -29,7 +29,7 @@ GENERATED = "generated"
 # So small that ten thousand cycles take minutes.
 SETTINGS = (
     "preset=demo",
-    "held_motion=shake",
+    "pinned_motion=shake",
     "settings.name=stability",
     "settings.grid=[12,12]",
     "settings.n_frames=16",
@@ -82,7 +82,7 @@ WATCHED = {
     "S": "shearing [network units]",
     "B": "bending [network units]",
     "turbulence rms [m/s²]": "turbulence rms [m/s²]",
-    "anchor motion rms [mm]": "anchor motion rms [mm]",
+    "boundary motion rms [mm]": "boundary motion rms [mm]",
 }
 
 

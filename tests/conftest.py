@@ -30,7 +30,7 @@ N_FRAMES = 4
 def tiny_scene() -> Scene:
     """A 6×5 cloth hanging 1.2 m in front of an 80×120 px camera, with its true motion."""
     H, W = GRID
-    # Axis 0 runs along the held upper edge from left to right, axis 1 downwards; slightly slanted in depth.
+    # Axis 0 runs along the pinned upper edge from left to right, axis 1 downwards; slightly slanted in depth.
     i, j = torch.meshgrid(torch.arange(H), torch.arange(W), indexing="ij")
     template = torch.stack(
         (
@@ -65,7 +65,7 @@ def tiny_scene() -> Scene:
         cloth_size=CLOTH_SIZE,
         gravity=torch.tensor([0.0, 9.81, 0.1], dtype=torch.float64),
         fps=25.0,
-        held_vertices=(0, (H - 1) * W),
+        pinned_vertices=(0, (H - 1) * W),
         original_size=(camera.height, camera.width),
         ground_truth=GroundTruth(
             vertices=torch.stack(motion),
@@ -158,7 +158,7 @@ def swaying_scene() -> Scene:
         bending=2.0,
         initial_wind=(0.5, 0.0, -1.0),
         wind=(-0.3, 0.0, 1.5),
-        held_distance=0.96,
+        pinned_distance=0.96,
         distance=1.1,
     )
     return generate(settings, procedural_texture(128, 128, seed=0))[0]

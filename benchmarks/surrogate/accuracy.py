@@ -45,7 +45,7 @@ def accuracy(cases: list[Case], contenders: dict[str, Build], cache: Path) -> pd
             simulator = build(case.cloth, case.time_step, case.integrator)
             errors = _one_step(simulator, case, truth.positions)
             start = case.start(simulator.n_past)
-            motion = rollout(simulator, start, case.material, case.forces, case.anchors, 1, throw=False)
+            motion = rollout(simulator, start, case.material, case.forces, case.boundary, 1, throw=False)
             errors |= _motion_errors(motion.positions[0], truth.positions, case)
             finite = bool(np.isfinite(list(errors.values())).all())
             rows.append({**about, "contender": name, "failure": "" if finite else "not finite", **errors})
@@ -62,11 +62,11 @@ def _one_step(simulator: LinearizableSimulator, case: Case, truth: Tensor) -> di
     """Relative errors of single steps from states of the solver, mean over the states."""
     accelerations, forces = [], []
     free = torch.ones(case.cloth.n_vertices, dtype=torch.bool)
-    free[case.cloth.held] = False
+    free[case.cloth.pinned] = False
     for n in range(0, case.n_steps, STRIDE):
         state = _state(truth, n, simulator.n_past, case)
         external = case.forces[:, n]
-        x = simulator.step(state, case.material, external, case.anchors[:, n + 1]).state.positions[0]
+        x = simulator.step(state, case.material, external, case.boundary[:, n + 1]).state.positions[0]
         formula = case.integrator.formula(n)
         history = torch.cat((state.positions, state.past[0]))
         prediction = torch.tensordot(

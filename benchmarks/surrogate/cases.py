@@ -22,8 +22,8 @@ from torch import Tensor
 
 from toile.learning.surrogate.distributions import normal, uniform
 from toile.learning.surrogate.forces import Accelerations, ForceSampler, acceleration_field
-from toile.learning.surrogate.held_corners import (
-    HeldCornerSampler,
+from toile.learning.surrogate.pinned_corners import (
+    PinnedCornerSampler,
     border_lengths,
     corner_indices,
     within_reach,
@@ -49,7 +49,7 @@ BOX = MaterialRanges(stretching=(10.0, 1e4), shearing=(0.01, 10.0), bending=(0.0
 BOX_FORCES = ForceSampler(
     (0.001, 0.7), wind=0.7, turbulence=1.0, turbulence_grid=8, turbulence_persistence=0.95
 )
-BOX_CORNERS = HeldCornerSampler((0.05, 0.1, 0.75, 0.1), speed=0.3, individual=0.3, persistence=0.97)
+BOX_CORNERS = PinnedCornerSampler((0.05, 0.1, 0.75, 0.1), speed=0.3, individual=0.3, persistence=0.97)
 SHAPES = RestShapeSampler(scatter=0.04)
 # Quoted at 0.02 s, as everywhere in the configuration; and light wind [m/s²].
 FITS = MaterialRanges(stretching=(2e3, 1e4), shearing=(2.0, 50.0), bending=(0.2, 5.0))
@@ -65,13 +65,13 @@ class Case:
     Attributes:
         regime: see the module's text.
         seed: everything random follows from it.
-        cloth: with held corners.
+        cloth: with pinned corners.
         integrator: of all simulators that are compared.
         time_step: h of one step [s].
         positions: (1, N, 3) [m].
         material: (1,) each.
         forces: external force in every step, gravity included, (1, T, N, 3) [N].
-        anchors: positions of the held vertices, (1, T + 1, n_held, 3) [m].
+        boundary: positions of the pinned vertices, (1, T + 1, n_pinned, 3) [m].
         width: side of the cloth [m].
         numbers: Y, S, B and gravity in network units at the effective step.
     """
@@ -84,7 +84,7 @@ class Case:
     positions: Tensor
     material: Material
     forces: Tensor
-    anchors: Tensor
+    boundary: Tensor
     width: float
     numbers: dict[str, float]
 
@@ -167,7 +167,7 @@ def fits_case(seed: int, grid: tuple[int, int], n_steps: int, shape_seed: int | 
         positions=positions,
         material=_material(quoted, units),
         forces=forces,
-        anchors=positions[:, None, cloth.held].repeat(1, n_steps + 1, 1, 1),
+        boundary=positions[:, None, cloth.pinned].repeat(1, n_steps + 1, 1, 1),
         width=edge * (width - 1),
         numbers=_numbers([scale * k for k in quoted], GRAVITY * effective**2 / edge),
     )
@@ -196,12 +196,12 @@ def box_case(
         BOX_FORCES.turbulence_persistence,
     ).sample(1, generator)
     gravity = float(forces.gravity)
-    held = BOX_CORNERS.sample_held(1, generator)
+    pinned = BOX_CORNERS.sample_pinned(1, generator)
     if numbers is not None:
-        held = torch.tensor([[True, True, False, False]])
+        pinned = torch.tensor([[True, True, False, False]])
     rows, columns = corner_indices(grid)
     vertices = [r * grid[1] + c for r, c in zip(rows, columns, strict=True)]
-    cloth = _cloth(shapes, EDGE, tuple(v for v, h in zip(vertices, held[0].tolist(), strict=True) if h))
+    cloth = _cloth(shapes, EDGE, tuple(v for v, h in zip(vertices, pinned[0].tolist(), strict=True) if h))
     effective = math.sqrt(gravity * EDGE / GRAVITY)
     units = NetworkUnits(AREAL_DENSITY * EDGE**2, EDGE, effective)
     integrator: Integrator = BDF2() if seed % 2 else BackwardEuler()
@@ -212,7 +212,7 @@ def box_case(
     )
     external = _forces(scaled, cloth, grid, n_steps, generator)
     positions = shapes.positions.reshape(1, -1, 3) * EDGE
-    corners = _moving_corners(shapes, vertices, held, gravity, n_steps, generator) * EDGE
+    corners = _moving_corners(shapes, vertices, pinned, gravity, n_steps, generator) * EDGE
     return Case(
         regime="box" if numbers is None else "corners",
         seed=seed,
@@ -222,17 +222,17 @@ def box_case(
         positions=positions,
         material=_material(stiffness, units),
         forces=external,
-        anchors=corners[:, :, held[0]],
+        boundary=corners[:, :, pinned[0]],
         width=EDGE * (grid[1] - 1),
         numbers=_numbers(stiffness, gravity),
     )
 
 
-def _cloth(shapes: RestShapes, edge: float, held: tuple[int, ...]) -> Cloth:
+def _cloth(shapes: RestShapes, edge: float, pinned: tuple[int, ...]) -> Cloth:
     grid = (shapes.positions.shape[1], shapes.positions.shape[2])
     size = (edge * (grid[0] - 1), edge * (grid[1] - 1))
     lengths = template_rest_lengths(grid_stencils(*grid), shapes.positions[0] * edge)
-    return grid_cloth(grid, size, AREAL_DENSITY, held, lengths)
+    return grid_cloth(grid, size, AREAL_DENSITY, pinned, lengths)
 
 
 def _material(stiffness: list[float], units: NetworkUnits) -> Material:
@@ -284,7 +284,7 @@ def _forces(
 def _moving_corners(
     shapes: RestShapes,
     vertices: list[int],
-    held: Tensor,
+    pinned: Tensor,
     gravity: float,
     n_steps: int,
     generator: torch.Generator,
@@ -295,6 +295,6 @@ def _moving_corners(
     lengths = border_lengths(shapes.rest_lengths_i, shapes.rest_lengths_j)
     path = [shapes.positions.reshape(1, -1, 3)[:, vertices]]
     for _ in range(n_steps):
-        path.append(within_reach(path[-1] + velocities, held, lengths))
+        path.append(within_reach(path[-1] + velocities, pinned, lengths))
         velocities = BOX_CORNERS.next_velocities(velocities, speed, generator)
     return torch.stack(path, 1).double()

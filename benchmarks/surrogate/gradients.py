@@ -16,7 +16,7 @@ from toile.physics.state import State
 
 LAST_FRAMES = 10
 TARGET = 0.02  # deviation of the target from the solver's motion, of the width
-GROUPS = ("stretching", "shearing", "bending", "log stiffnesses", "forces", "anchors", "initial velocity")
+GROUPS = ("stretching", "shearing", "bending", "log stiffnesses", "forces", "boundary", "initial velocity")
 # Not the cloths of the accuracy tables.
 _FIRST_SEED = FIRST_SEED["fits"] + 500_000
 
@@ -71,7 +71,7 @@ def _parameters(case: Case) -> dict[str, Tensor]:
         "shearing": material["shearing"],
         "bending": material["bending"],
         "forces": case.forces,
-        "anchors": case.anchors,
+        "boundary": case.boundary,
         "initial velocity": torch.zeros_like(case.positions),
     }
     return {name: value.clone().requires_grad_() for name, value in given.items()}
@@ -81,7 +81,7 @@ def _motion(simulator: LinearizableSimulator, case: Case, parameters: dict[str, 
     """The last frames, (F, N, 3) [m]."""
     state = State.start(case.positions, parameters["initial velocity"], case.time_step, simulator.n_past)
     material = grid_material(*(parameters[name] for name in ("stretching", "shearing", "bending")))
-    motion = rollout(simulator, state, material, parameters["forces"], parameters["anchors"], 1, throw=False)
+    motion = rollout(simulator, state, material, parameters["forces"], parameters["boundary"], 1, throw=False)
     return motion.positions[0, -LAST_FRAMES:]
 
 

@@ -42,7 +42,7 @@ def reference(case: Case, folder: Path) -> Reference:
     simulator = solver(case.cloth, case.time_step, case.integrator)
     failure, positions = "", torch.zeros(0)
     try:
-        motion = rollout(simulator, case.start(simulator.n_past), case.material, case.forces, case.anchors, 1)
+        motion = rollout(simulator, case.start(simulator.n_past), case.material, case.forces, case.boundary, 1)
         positions = motion.positions[0]
     except SimulationError as error:
         failure = str(error).partition(" (")[0]
@@ -55,7 +55,7 @@ def perturbed(case: Case) -> Case:
     """The same with every free vertex of the start moved once; no simulator can foresee more than this."""
     generator = torch.Generator().manual_seed(case.seed)
     noise = torch.randn(case.positions.shape, generator=generator, dtype=torch.float64)
-    noise[:, case.cloth.held] = 0
+    noise[:, case.cloth.pinned] = 0
     return replace(case, positions=case.positions + PERTURBATION * case.edge * noise)
 
 
@@ -63,8 +63,8 @@ def _key(case: Case) -> str:
     """Changes with anything that the motion depends on."""
     digest = hashlib.sha256()
     material = (case.material["stretching"], case.material["shearing"], case.material["bending"])
-    for tensor in (case.positions, *material, case.forces, case.anchors, case.cloth.rest_lengths):
+    for tensor in (case.positions, *material, case.forces, case.boundary, case.cloth.rest_lengths):
         digest.update(tensor.contiguous().numpy().tobytes())
-    names = (type(case.integrator).__name__, case.time_step, case.cloth.held.tolist(), asdict(CONVERGED))
+    names = (type(case.integrator).__name__, case.time_step, case.cloth.pinned.tolist(), asdict(CONVERGED))
     digest.update(repr(names).encode())
     return digest.hexdigest()[:16]

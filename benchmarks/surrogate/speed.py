@@ -75,7 +75,7 @@ class _Batch:
     def __init__(self, cases: list[Case]) -> None:
         self.cases = cases
         self.forces = torch.cat([c.forces for c in cases])
-        self.anchors = torch.cat([c.anchors for c in cases])
+        self.boundary = torch.cat([c.boundary for c in cases])
         self.material = Material(GRID_PARAMETERS, torch.cat([c.material.values for c in cases]))
 
     def start(self, n_past: int) -> State:
@@ -86,7 +86,7 @@ class _Batch:
     def step(self, simulator: LinearizableSimulator, state: State, t: int, keep: bool = False) -> State:
         """Step number t."""
         return simulator.step(
-            state, self.material, self.forces[:, t], self.anchors[:, t + 1], linearize=keep
+            state, self.material, self.forces[:, t], self.boundary[:, t + 1], linearize=keep
         ).state
 
 

@@ -52,7 +52,7 @@ class StabilitySettings:
 
 @dataclass(frozen=True)
 class _Sheet:
-    """A flat sheet held at its upper corners, leaning, and its materials."""
+    """A flat sheet pinned at its upper corners, leaning, and its materials."""
 
     cloth: Cloth
     time_step: float
@@ -70,7 +70,7 @@ class _Sheet:
             state,
             grid_material(*k.unbind(-1)),
             self.forces.expand_as(x).contiguous(),
-            x[:, self.cloth.held],
+            x[:, self.cloth.pinned],
         )
 
 
@@ -136,7 +136,7 @@ def _motion(
     simulator: LinearizableSimulator, sheet: _Sheet, chosen: slice, steps: int, every: int, seconds: float
 ) -> tuple[pd.DataFrame, str]:
     """Measurements of some materials in one batch, and why they ended early ("" if they did not)."""
-    state, material, forces, anchors = sheet.start(chosen, simulator.n_past)
+    state, material, forces, boundary = sheet.start(chosen, simulator.n_past)
     numbers = sheet.numbers[chosen]
     first = _energies(simulator.assembly, sheet, state, chosen)
     above = largest = fastest = np.zeros(len(numbers))
@@ -151,7 +151,7 @@ def _motion(
     note(0)
     largest = np.full(len(numbers), -np.inf)
     for n in range(1, steps + 1):
-        result = simulator.step(state, material, forces, anchors)
+        result = simulator.step(state, material, forces, boundary)
         failed = [s for s in result.status if s is not StepStatus.CONVERGED]
         speed = (result.state.positions - state.positions).norm(dim=-1).amax(-1) / EDGE
         state = result.state

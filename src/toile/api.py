@@ -330,7 +330,7 @@ def load_scene(
     n_frames: int | None = None,
     fps: float | None = None,
     gravity: Sequence[float] | None = None,
-    held_vertices: Sequence[int] | None = None,
+    pinned_vertices: Sequence[int] | None = None,
     settings: Settings = None,
 ) -> Scene:
     """Load a recorded or generated scene, with the defaults of ``toile fit`` (conf/scene).
@@ -341,7 +341,7 @@ def load_scene(
         n_frames: load only the first ones; None for all.
         fps: frames per second; None for what the data says.
         gravity: (x, y, z) [m/s²], camera frame; None for what the data says.
-        held_vertices: flattened grid indices i * W + j; None for what the data says.
+        pinned_vertices: flattened grid indices i * W + j; None for what the data says.
         settings: further ones of the scene, e.g. ``{"scene.crop_margin": None}``.
 
     Returns:
@@ -351,7 +351,7 @@ def load_scene(
     Raises:
         InputError: there is no such scene, or something in it is wrong.
     """
-    given = {"n_frames": n_frames, "fps": fps, "gravity": gravity, "held_vertices": held_vertices}
+    given = {"n_frames": n_frames, "fps": fps, "gravity": gravity, "pinned_vertices": pinned_vertices}
     named = {f"scene.{key}": value for key, value in given.items() if value is not None}
     lines = [*scene_overrides(name), *_data_override(data), *overrides(named), *overrides(settings)]
     with called("fit", lines) as cfg:
@@ -392,7 +392,7 @@ def simulate(
     *,
     wind: Sequence[float] = (0.0, 0.0, 0.0),
     turbulence: npt.ArrayLike | None = None,
-    anchor_motion: npt.ArrayLike | None = None,
+    boundary_motion: npt.ArrayLike | None = None,
     effects: Sequence[Effect] = (),
     settings: Settings = None,
 ) -> Motion:
@@ -402,13 +402,13 @@ def simulate(
     with BDF2 steps (``simulator=implicit``). The video itself is not looked at.
 
     Args:
-        scene: its template, cloth size, held vertices, gravity and frame times are used.
+        scene: its template, cloth size, pinned vertices, gravity and frame times are used.
         stiffness: by name, in SI units: stretching [N/m], shearing [N·m], bending [N·m], as
             ``Run.stiffness``; those left out are where a fit starts.
         wind: constant force per mass beside gravity, (3,) [m/s²].
         turbulence: force over an interior vertex's mass, (F-1, H, W, 3) [m/s²]; entry t acts between frame t
             and frame t + 1. None for none.
-        anchor_motion: displacement of the n held vertices from the template, (F, n, 3) [m]; None holds them
+        boundary_motion: displacement of the n pinned vertices from the template, (F, n, 3) [m]; None holds them
             still.
         effects: what acts beside that, with their values, e.g. ``[AirDrag({"normal": 0.5})]``.
         settings: of ``cloth`` and ``simulator`` in ``toile fit``, e.g. ``{"simulator.substeps": 4}``.
@@ -436,8 +436,8 @@ def simulate(
             _put(p.wind, wind, "wind")
             if turbulence is not None:
                 _put(p.turbulence, turbulence, "turbulence", (len(p.turbulence), *loaded.grid, 3))
-            if anchor_motion is not None:
-                _put(p.anchor_motion, anchor_motion, "anchor_motion")
+            if boundary_motion is not None:
+                _put(p.boundary_motion, boundary_motion, "boundary_motion")
             positions = problem.simulate(loaded.n_frames).positions[0]
             si = _in_si(p)
     return Motion(

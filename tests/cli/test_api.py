@@ -112,7 +112,7 @@ def test_a_run_is_pleasant_to_look_at(tmp_path: Path) -> None:
         found.stiffness,
         wind=p["wind [m/s²]"],
         turbulence=p["turbulence [m/s²]"],
-        anchor_motion=p["anchor motion [m]"],
+        boundary_motion=p["boundary motion [m]"],
     )
     np.testing.assert_allclose(again.positions, found.positions, atol=1e-6)
     assert again.stiffness == pytest.approx(found.stiffness)

@@ -73,7 +73,7 @@ def test_what_a_fit_cannot_do_is_an_error(toile, tiny_scene: Scene, tmp_path: Pa
     near, far = (replace(tiny_scene.camera, fx=110.0 * zoom, fy=105.0 * zoom) for zoom in (2, 10))
     right = (white.cumsum(2) > 20).to(white.dtype)
     wrong = {
-        "All vertices are held": replace(tiny_scene, held_vertices=tuple(range(H * W))),
+        "All vertices are pinned": replace(tiny_scene, pinned_vertices=tuple(range(H * W))),
         "frame rate": replace(tiny_scene, fps=1e9),
         "far too strong": replace(tiny_scene, gravity=1000 * tiny_scene.gravity),
         "coincide": replace(tiny_scene, template=folded, ground_truth=None),

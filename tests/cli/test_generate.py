@@ -25,12 +25,12 @@ def files() -> dict[str, bytes]:
 
 
 def test_generate(toile) -> None:
-    status, out, err = toile("generate", *TINY, "held_motion=swing", "settings.held_motion.period=2")
+    status, out, err = toile("generate", *TINY, "pinned_motion=swing", "settings.pinned_motion.period=2")
     assert (status, err) == (0, "")
     assert out.strip() == str(FOLDER)
     truth = read_truth(FOLDER)
     assert truth["grid"] == [5, 4]
-    assert truth["held_motion"]["period"] == 2
+    assert truth["pinned_motion"]["period"] == 2
     status, out, _ = toile("doctor", "scene=small")
     assert status == 0
     assert "errors: 0" in out

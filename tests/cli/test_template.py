@@ -46,20 +46,20 @@ def test_three_ways(toile, video, surface) -> None:
     assert "errors: 0, warnings: 0" in out
     scene = load_native(video)
     assert scene.grid == (12, 10)
-    assert scene.held_vertices == (0, 110)
+    assert scene.pinned_vertices == (0, 110)
 
 
 def test_settings_reach_the_scene(toile, video) -> None:
     (video / "video.json").unlink()
     camera = {"focal_length": [420, 410], "optical_center": [163, 117.5]}
     Path("camera.json").write_text(json.dumps(camera))
-    settings = ("fps=25", "held_vertices=[0]", "gravity=[0,9.7,1.4]", "cloth_size=[0.51,0.4]")
+    settings = ("fps=25", "pinned_vertices=[0]", "gravity=[0,9.7,1.4]", "cloth_size=[0.51,0.4]")
     status, _, err = toile(
         "template", "scene=video", "surface.file=scan.ply", "camera.file=camera.json", GRID, *settings
     )
     assert (status, err) == (0, "")
     scene = load_native(video)
-    assert (scene.fps, scene.held_vertices, scene.cloth_size) == (25, (0,), (0.51, 0.4))
+    assert (scene.fps, scene.pinned_vertices, scene.cloth_size) == (25, (0,), (0.51, 0.4))
     assert scene.gravity.tolist() == [0, 9.7, 1.4]
 
 
@@ -83,7 +83,7 @@ def test_never_overwrites_unasked(toile, video) -> None:
         (("surface.file=scan.ply", "cloth_size=[5,5]", *CAMERA), "millimetres"),
         (("surface.file=scan.ply", "corners=[[1,2],[3]]", *CAMERA), "Corners cannot be understood"),
         (("surface.file=scan.ply", "fps=0", *CAMERA), "fps is not what it may be"),
-        (("surface.file=scan.ply", "held_vertices=[4096]", *CAMERA), "out of range"),
+        (("surface.file=scan.ply", "pinned_vertices=[4096]", *CAMERA), "out of range"),
         (("surface.file=scan.ply", "grid=[1,4]", *CAMERA), "grid is not what it may be"),
         (("surface=sheet", *CAMERA), "one camera cannot see it"),
         (("surface=points", "surface.file=scan.ply", "minimum_iou=1", *CAMERA), "minimum_iou"),

@@ -110,7 +110,7 @@ def test_nothing_to_resume(toile: Toile) -> None:
     [
         ("training.batch_size=9", "training.batch_size"),
         ("training.pool.materials.shearing=[0,1]", "materials.shearing"),
-        ("training.pool.held_corners.shares=[1,1,0,0]", "held_corners"),
+        ("training.pool.pinned_corners.shares=[1,1,0,0]", "pinned_corners"),
         ("training.pool.grid=[2,7]", "3×3"),
     ],
 )

@@ -47,7 +47,7 @@ def fall(*effects: Effect) -> torch.Tensor:
     simulator = ImplicitSimulator(given.cloth, step, BDF2(), NewtonSettings(tolerance=1e-11), given.terms)
     material = grid_material(*(torch.tensor([k], dtype=torch.float64) for k in (60.0, 3e-4, 2e-5)))
     state = State.start(start, torch.zeros_like(start), step, simulator.n_past)
-    motion = rollout(simulator, state, material, given.forces[None], given.anchors[None], SUBSTEPS)
+    motion = rollout(simulator, state, material, given.forces[None], given.boundary[None], SUBSTEPS)
     return motion.positions[0, :, :, 1]
 
 

@@ -11,7 +11,7 @@ from omegaconf import OmegaConf
 from toile.cli.configuration import CONF
 from toile.effects.anchor_slip import AnchorSlip
 from toile.effects.base import (
-    AnchorEffect,
+    BoundaryEffect,
     BrightnessEffect,
     CameraEffect,
     ElementEffect,
@@ -72,7 +72,7 @@ VARIANTS = {
     "contact with a mesh": lambda values: Contact(OBSTACLES["mesh"], values),
     "gusts of two modes": lambda values: Gusts(values, n_modes=2),
 }
-MECHANICAL = VertexEffect | ElementEffect | ForceEffect | MassEffect | AnchorEffect | TimeEffect
+MECHANICAL = VertexEffect | ElementEffect | ForceEffect | MassEffect | BoundaryEffect | TimeEffect
 
 
 def some_values(effect):
@@ -98,13 +98,13 @@ def start():
 
 def simulate(effects, simulator=ImplicitSimulator, integrator=None, newton=TIGHT, **more):
     x, v = start()
-    nominal = x[0, None, AROUND.cloth.held].expand(FRAMES, -1, -1)
+    nominal = x[0, None, AROUND.cloth.pinned].expand(FRAMES, -1, -1)
     given = setting(effects, AROUND, nominal, torch.tensor([0.0, 0.0, 0.5]).double())
     h = given.frame_interval / SUBSTEPS
     sim = simulator(given.cloth, h, integrator or BDF2(), newton, terms=given.terms)
     material = grid_material(*(torch.tensor([s], dtype=torch.float64) for s in (60.0, 3e-4, 2e-5)))
     state = State.start(x, v, h, sim.n_past)
-    motion = rollout(sim, state, material, given.forces[None], given.anchors[None], SUBSTEPS, **more)
+    motion = rollout(sim, state, material, given.forces[None], given.boundary[None], SUBSTEPS, **more)
     return sim, motion
 
 
@@ -221,7 +221,7 @@ def test_nothing_is_made_new_where_nothing_acts():
     effects = [make({}) for make in MAKE.values()]
     given = setting(effects, AROUND, nominal)
     assert given.cloth is AROUND.cloth
-    assert given.anchors is nominal
+    assert given.boundary is nominal
     assert given.terms == ()
     assert float(given.frame_interval) == 1 / FPS
     weight = AROUND.cloth.masses[:, None] * AROUND.gravity
@@ -279,7 +279,7 @@ def test_tangents_and_adjoints_know_the_terms(name, integrator):
     change = Perturbation(
         forces=np.zeros((FRAMES - 1, n, 3)),
         stiffness=np.zeros(3),
-        anchors=np.zeros((FRAMES, 2, 3)),
+        boundary=np.zeros((FRAMES, 2, 3)),
         positions=np.zeros((n, 3)),
         velocities=np.zeros((n, 3)),
         values=scales * rng.normal(size=len(scales)),
@@ -302,13 +302,13 @@ def test_tangents_and_adjoints_know_the_terms(name, integrator):
     everything = Perturbation(
         forces=1e-3 * rng.normal(size=change.forces.shape),
         stiffness=np.array([6.0, 3e-5, 2e-6]) * rng.normal(size=3),
-        anchors=1e-3 * rng.normal(size=change.anchors.shape),
+        boundary=1e-3 * rng.normal(size=change.boundary.shape),
         positions=1e-3 * rng.normal(size=change.positions.shape),
         velocities=0.1 * rng.normal(size=change.velocities.shape),
         values=change.values,
     )
     forward = (gradient * linear.tangent(everything)).sum()
-    parts = ("forces", "stiffness", "anchors", "positions", "velocities", "values")
+    parts = ("forces", "stiffness", "boundary", "positions", "velocities", "values")
     backward = sum((getattr(back, part) * getattr(everything, part)).sum() for part in parts)
     assert forward == pytest.approx(backward, rel=1e-8)
 
@@ -342,10 +342,10 @@ def test_surrogate_refuses_terms():
         SurrogateSimulator(AROUND.cloth, 0.01, BDF2(), 2, terms=active_terms([drag]))
 
 
-def test_anchor_slip_wants_a_held_vertex():
+def test_anchor_slip_wants_a_pinned_vertex():
     slip = AnchorSlip({"x": 0.01}, vertex=2)
-    with pytest.raises(InputError, match="no such held vertex"):
-        slip.anchors(torch.zeros(FRAMES, 2, 3).double(), AROUND)
+    with pytest.raises(InputError, match="no such pinned vertex"):
+        slip.boundary(torch.zeros(FRAMES, 2, 3).double(), AROUND)
     with pytest.raises(InputError, match="no such slip"):
         AnchorSlip(vertex=-1)
 
@@ -376,7 +376,7 @@ def test_hook_values():
     assert float(distortion.pixels(corner, CAMERA)[0]) == pytest.approx(CAMERA.cx + 0.9 * CAMERA.fx)
 
     slip = AnchorSlip({"y": 0.04}, vertex=1, start=1 / FPS, duration=2 / FPS)
-    path = slip.anchors(torch.zeros(FRAMES, 2, 3).double(), AROUND)
+    path = slip.boundary(torch.zeros(FRAMES, 2, 3).double(), AROUND)
     assert path[:, 1, 1].tolist() == pytest.approx([0.0, 0.0, 0.02, 0.04, 0.04, 0.04])
     assert not path[:, 0].any()
 

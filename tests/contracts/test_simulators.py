@@ -24,7 +24,7 @@ class Extrapolation(Simulator):
     def __init__(self, h, n_past):
         self.time_step, self.n_past = h, n_past
 
-    def step(self, state, material, forces, anchors, guess=None, *, linearize=False):
+    def step(self, state, material, forces, boundary, guess=None, *, linearize=False):
         ahead = State(2 * state.positions - state.past[:, 0], state.velocities, state.past, state.steps + 1)
         batch = len(state.positions)
         return StepResult(ahead, (StepStatus.CONVERGED,) * batch, (0,) * batch, (0.0,) * batch)
@@ -51,8 +51,8 @@ SIMULATORS = {
 
 @pytest.fixture(params=SIMULATORS)
 def make(request):
-    def simulator(held=(0, 5), h=STEP):
-        return SIMULATORS[request.param](grid_cloth(GRID, SIZE, 0.2, held), h)
+    def simulator(pinned=(0, 5), h=STEP):
+        return SIMULATORS[request.param](grid_cloth(GRID, SIZE, 0.2, pinned), h)
 
     return simulator
 
@@ -71,7 +71,7 @@ def flat(batch=1):
 
 
 def scene(simulator, frames=4, seeds=(0,)):
-    """Different bent cloths, materials, forces and anchor motions, one per seed."""
+    """Different bent cloths, materials, forces and boundary position motions, one per seed."""
     cloth = cloth_of(simulator)
     parts = []
     for seed in seeds:
@@ -80,20 +80,20 @@ def scene(simulator, frames=4, seeds=(0,)):
         x[..., 2] += 0.01 * torch.sin(20 * x[..., 0] + (5 + seed) * x[..., 1])
         noise = torch.randn(1, frames - 1, 30, 3, generator=generator, dtype=torch.float64)
         forces = cloth.masses[:, None] * (torch.tensor([0.0, 9.81, 0.0]).double() + noise)
-        path = torch.randn(1, frames, len(cloth.held), 3, generator=generator, dtype=torch.float64).cumsum(1)
-        anchors = x[:, None, cloth.held] + 0.002 * path
+        path = torch.randn(1, frames, len(cloth.pinned), 3, generator=generator, dtype=torch.float64).cumsum(1)
+        boundary = x[:, None, cloth.pinned] + 0.002 * path
         stiffness = torch.tensor([60.0, 3e-4, 2e-5], dtype=torch.float64) * (1 + 0.3 * seed)
         velocities = 0.05 * torch.randn(1, 30, 3, generator=generator, dtype=torch.float64)
-        parts.append((x, velocities, stiffness[None], forces, anchors))
-    x, velocities, stiffness, forces, anchors = (torch.cat(p) for p in zip(*parts, strict=True))
+        parts.append((x, velocities, stiffness[None], forces, boundary))
+    x, velocities, stiffness, forces, boundary = (torch.cat(p) for p in zip(*parts, strict=True))
     state = State.start(x, velocities, simulator.time_step, simulator.n_past)
-    return state, grid_material(*stiffness.unbind(-1)), forces, anchors
+    return state, grid_material(*stiffness.unbind(-1)), forces, boundary
 
 
 def test_step_result_has_one_entry_per_scene(make):
     simulator = make()
-    state, material, forces, anchors = scene(simulator, seeds=(0, 1, 2))
-    result = simulator.step(state, material, forces[:, 0], anchors[:, 1])
+    state, material, forces, boundary = scene(simulator, seeds=(0, 1, 2))
+    result = simulator.step(state, material, forces[:, 0], boundary[:, 1])
     assert result.status == (StepStatus.CONVERGED,) * 3
     assert len(result.iterations) == len(result.residual) == 3
     new = result.state
@@ -106,11 +106,11 @@ def test_step_result_has_one_entry_per_scene(make):
 
 def test_inputs_are_left_alone(make):
     simulator = make()
-    state, material, forces, anchors = scene(simulator)
+    state, material, forces, boundary = scene(simulator)
     guess = state.positions + 0.001
-    given = [state.positions, state.velocities, state.past, forces, anchors, guess]
+    given = [state.positions, state.velocities, state.past, forces, boundary, guess]
     kept = [t.clone() for t in given]
-    simulator.step(state, material, forces[:, 0], anchors[:, 1], guess)
+    simulator.step(state, material, forces[:, 0], boundary[:, 1], guess)
     for tensor, before in zip(given, kept, strict=True):
         assert torch.equal(tensor, before)
 
@@ -119,13 +119,13 @@ def test_flat_cloth_at_rest_stays_at_rest(make):
     simulator = make()
     state = State.start(flat(), torch.zeros(1, 30, 3).double(), STEP, simulator.n_past)
     _, material, forces, _ = scene(simulator)
-    anchors = flat()[:, None, cloth_of(simulator).held].expand(1, 4, -1, -1)
-    motion = rollout(simulator, state, material, 0 * forces, anchors, 1)
+    boundary = flat()[:, None, cloth_of(simulator).pinned].expand(1, 4, -1, -1)
+    motion = rollout(simulator, state, material, 0 * forces, boundary, 1)
     assert (motion.positions - flat()[:, None]).abs().max() <= 1e-12
 
 
 def test_cloth_falls_along_gravity(make):
-    simulator = make(held=())
+    simulator = make(pinned=())
     state = State.start(flat(), torch.zeros(1, 30, 3).double(), STEP, simulator.n_past)
     _, material, _, _ = scene(simulator)
     g = torch.tensor([0.0, 9.81, 0.0], dtype=torch.float64)
@@ -138,17 +138,17 @@ def test_cloth_falls_along_gravity(make):
     assert fall[..., [0, 2]].abs().max() <= 1e-9
 
 
-def test_held_vertices_are_at_their_anchors(make):
+def test_pinned_vertices_are_at_their_boundary_positions(make):
     simulator = make()
-    state, material, forces, anchors = scene(simulator)
-    motion = rollout(simulator, state, material, forces, anchors, 2)
-    assert torch.equal(motion.positions[:, 1:, cloth_of(simulator).held], anchors[:, 1:])
+    state, material, forces, boundary = scene(simulator)
+    motion = rollout(simulator, state, material, forces, boundary, 2)
+    assert torch.equal(motion.positions[:, 1:, cloth_of(simulator).pinned], boundary[:, 1:])
 
 
 def test_a_batch_is_its_scenes_one_by_one(make):
     simulator = make()
-    state, material, forces, anchors = scene(simulator, seeds=(0, 1))
-    both = rollout(simulator, state, material, forces, anchors, 2).all_positions
+    state, material, forces, boundary = scene(simulator, seeds=(0, 1))
+    both = rollout(simulator, state, material, forces, boundary, 2).all_positions
     for b in range(2):
         alone = rollout(simulator, *scene(simulator, seeds=(b,)), 2).all_positions
         if isinstance(simulator, SurrogateSimulator):
@@ -165,17 +165,17 @@ def test_repeated_runs_are_bit_identical(make):
 
 def test_a_rollout_continues_where_another_stopped(make):
     simulator = make()
-    state, material, forces, anchors = scene(simulator, frames=6)
-    whole = rollout(simulator, state, material, forces, anchors, 1)
-    first = rollout(simulator, state, material, forces[:, :2], anchors[:, :3], 1)
-    second = rollout(simulator, first.steps[-1].state, material, forces[:, 2:], anchors[:, 2:], 1)
+    state, material, forces, boundary = scene(simulator, frames=6)
+    whole = rollout(simulator, state, material, forces, boundary, 1)
+    first = rollout(simulator, state, material, forces[:, :2], boundary[:, :3], 1)
+    second = rollout(simulator, first.steps[-1].state, material, forces[:, 2:], boundary[:, 2:], 1)
     assert torch.equal(torch.cat((first.positions, second.positions[:, 1:]), 1), whole.positions)
 
 
 def test_rollout_keeps_every_substep_and_returns_frames(make):
     simulator = make()
-    state, material, forces, anchors = scene(simulator, frames=4)
-    motion = rollout(simulator, state, material, forces, anchors, 3)
+    state, material, forces, boundary = scene(simulator, frames=4)
+    motion = rollout(simulator, state, material, forces, boundary, 3)
     assert motion.positions.shape == (1, 4, 30, 3)
     assert motion.all_positions.shape == (1, 10, 30, 3)
     assert torch.equal(motion.all_positions[:, ::3], motion.positions)
@@ -185,7 +185,7 @@ def test_rollout_keeps_every_substep_and_returns_frames(make):
 def test_gradient_of_a_rollout_along_a_random_direction(make):
     """Directional derivative with respect to all inputs at once against a central difference."""
     simulator = make()
-    state, material, forces, anchors = scene(simulator)
+    state, material, forces, boundary = scene(simulator)
     inputs = {
         "x": state.positions,
         "v": state.velocities,
@@ -193,7 +193,7 @@ def test_gradient_of_a_rollout_along_a_random_direction(make):
         "S": material["shearing"],
         "B": material["bending"],
         "f": forces,
-        "a": anchors,
+        "a": boundary,
     }
     scales = {"x": 1e-3, "v": 0.1, "Y": 60.0, "S": 3e-4, "B": 2e-5, "f": 1e-3, "a": 1e-3}
     generator = torch.Generator().manual_seed(9)
@@ -220,37 +220,37 @@ def test_gradient_of_a_rollout_along_a_random_direction(make):
     assert slope == pytest.approx(float((ahead - behind) / (2 * eps)), rel=tolerance)
 
 
-@pytest.mark.parametrize("name", ["positions", "past", "forces", "anchors", "material", "guess"])
+@pytest.mark.parametrize("name", ["positions", "past", "forces", "boundary", "material", "guess"])
 def test_wrong_shapes_are_told(make, name):
     simulator = make()
-    state, material, forces, anchors = scene(simulator)
-    forces, anchors, guess = forces[:, 0], anchors[:, 1], None
+    state, material, forces, boundary = scene(simulator)
+    forces, boundary, guess = forces[:, 0], boundary[:, 1], None
     if name == "positions":
         state = dataclasses.replace(state, positions=state.positions[:, :-1])
     elif name == "past":
         state = dataclasses.replace(state, past=torch.cat((state.past, state.past), 1))
     elif name == "forces":
         forces = forces[:, :1]  # would broadcast
-    elif name == "anchors":
-        anchors = anchors[:, :1]  # would broadcast
+    elif name == "boundary":
+        boundary = boundary[:, :1]  # would broadcast
     elif name == "material":
         material = dataclasses.replace(material, values=material.values.repeat(2, 1))
     else:
         guess = state.positions[:, :3]
     with pytest.raises(ValueError, match=rf"{name}: expected .* got "):
-        simulator.step(state, material, forces, anchors, guess)
+        simulator.step(state, material, forces, boundary, guess)
 
 
-def test_frames_of_forces_and_anchors_must_agree(make):
+def test_frames_of_forces_and_boundary_must_agree(make):
     simulator = make()
-    state, material, forces, anchors = scene(simulator, frames=4)
-    with pytest.raises(ValueError, match="anchors: expected 3 frames as given by the forces, got 4"):
-        rollout(simulator, state, material, forces[:, :2], anchors, 1)
+    state, material, forces, boundary = scene(simulator, frames=4)
+    with pytest.raises(ValueError, match="boundary positions: expected 3 frames as given by the forces, got 4"):
+        rollout(simulator, state, material, forces[:, :2], boundary, 1)
 
 
 def test_not_a_number_is_an_error(make):
     simulator = make()
-    state, material, forces, anchors = scene(simulator, seeds=(0, 1))
+    state, material, forces, boundary = scene(simulator, seeds=(0, 1))
     forces[1, 1, 12, 0] = torch.nan
     with pytest.raises(SimulationError, match=r"frame 2, .* scene 1 of the batch: .*not finite"):
-        rollout(simulator, state, material, forces, anchors, 1)
+        rollout(simulator, state, material, forces, boundary, 1)

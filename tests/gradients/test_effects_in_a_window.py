@@ -65,7 +65,7 @@ def problem(scene: Scene, effects: FitEffects) -> Reconstruction:
     parameters = ClothParameters(
         scene.n_frames,
         cloth.n_vertices,
-        len(cloth.held),
+        len(cloth.pinned),
         scene_units(scene, 0.15),
         stretching=STIFFNESS[0],
         shearing=STIFFNESS[1],
@@ -80,7 +80,7 @@ def problem(scene: Scene, effects: FitEffects) -> Reconstruction:
     with torch.no_grad():
         parameters.wind.copy_(torch.tensor([1.0, 0.0, 2.0]))
         parameters.turbulence.add_(torch.randn(parameters.turbulence.shape, generator=generator))
-        parameters.anchor_motion.add_(2e-3 * torch.randn(parameters.anchor_motion.shape, generator=generator))
+        parameters.boundary_motion.add_(2e-3 * torch.randn(parameters.boundary_motion.shape, generator=generator))
     return made
 
 
@@ -105,7 +105,7 @@ def moved(made: Reconstruction, unknowns: WindowUnknowns, start: State, z: Vecto
             start,
             grid_material(k[0], k[1], k[2]),
             torch.from_numpy(given.forces)[None],
-            torch.from_numpy(given.anchors)[None],
+            torch.from_numpy(given.boundary)[None],
             made.frame_steps.window(unknowns.first, unknowns.last),
             linearize=linearize,
         )

@@ -28,7 +28,7 @@ CASES = {
     "bending": (0.005, 4.4e-4),
     "wind": (0.2, 3.5e-4),
     "turbulence": (0.05, 4e-4),
-    "anchor_motion": (5e-4, 6.5e-4),
+    "boundary_motion": (5e-4, 6.5e-4),
     "texture_offset": (2e-3, 1.1e-3),
 }
 
@@ -53,7 +53,7 @@ def problem(inside: Scene) -> Reconstruction:
     parameters = ClothParameters(
         inside.n_frames,
         cloth.n_vertices,
-        len(cloth.held),
+        len(cloth.pinned),
         scene_units(inside, 0.15),
         stretching=1000.0,
         shearing=4.0,
@@ -68,12 +68,12 @@ def problem(inside: Scene) -> Reconstruction:
         parameters,
         WarpRenderer(),
     )
-    # A general point: wind, turbulence and moving anchors.
+    # A general point: wind, turbulence and moving boundary positions.
     generator = torch.Generator().manual_seed(1)
     with torch.no_grad():
         parameters.wind.copy_(torch.tensor([2.0, 0.0, 3.0]))
         parameters.turbulence.add_(torch.randn(parameters.turbulence.shape, generator=generator))
-        parameters.anchor_motion.add_(2e-3 * torch.randn(parameters.anchor_motion.shape, generator=generator))
+        parameters.boundary_motion.add_(2e-3 * torch.randn(parameters.boundary_motion.shape, generator=generator))
     return problem
 
 

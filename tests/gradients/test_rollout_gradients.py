@@ -20,27 +20,27 @@ GRID, SIZE, FRAMES = (4, 5), (0.15, 0.2), 4
 UNEVEN = FrameSteps((0, 3, 4, 6))
 TIGHT = NewtonSettings(tolerance=1e-11)
 INTEGRATORS = {"backward Euler": BackwardEuler(), "BDF2": BDF2()}
-NAMES = ["stretching", "shearing", "bending", "forces", "anchors", "positions", "velocities"]
+NAMES = ["stretching", "shearing", "bending", "forces", "boundary", "positions", "velocities"]
 # Units in which every input is of order one, so that finite differences and tolerances suit all alike.
 UNITS = {
     "stretching": 50.0,
     "shearing": 3e-4,
     "bending": 3e-5,
     "forces": 5e-3,
-    "anchors": 0.1,
+    "boundary": 0.1,
     "positions": 0.1,
     "velocities": 0.3,
 }
 
 
-def simulator_of(integrator, substeps, held=(0, 4)):
-    cloth = grid_cloth(GRID, SIZE, 0.2, held)
+def simulator_of(integrator, substeps, pinned=(0, 4)):
+    cloth = grid_cloth(GRID, SIZE, 0.2, pinned)
     per_frame = substeps if isinstance(substeps, int) else substeps.per_frame
     return ImplicitSimulator(cloth, 1 / 30 / per_frame, INTEGRATORS[integrator], TIGHT)
 
 
 def inputs(simulator):
-    """A bent cloth in motion under gravity and random forces, its held vertices moving."""
+    """A bent cloth in motion under gravity and random forces, its pinned vertices moving."""
     cloth = simulator.cloth
     generator = torch.Generator().manual_seed(4)
     i, j = torch.meshgrid(
@@ -52,18 +52,18 @@ def inputs(simulator):
     n = cloth.n_vertices
     noise = torch.randn(1, FRAMES - 1, n, 3, generator=generator, dtype=torch.float64)
     forces = cloth.masses[:, None] * (torch.tensor([0.0, 9.81, 1.0]).double() + noise)
-    anchors = x[:, None, cloth.held] + 0.004 * torch.randn(
-        1, FRAMES, len(cloth.held), 3, generator=generator, dtype=torch.float64
+    boundary = x[:, None, cloth.pinned] + 0.004 * torch.randn(
+        1, FRAMES, len(cloth.pinned), 3, generator=generator, dtype=torch.float64
     ).cumsum(1)
     velocities = 0.1 * torch.randn(1, n, 3, generator=generator, dtype=torch.float64)
     values = [torch.tensor([UNITS[k]], dtype=torch.float64) for k in NAMES[:3]]
-    return dict(zip(NAMES, [*values, forces, anchors, x, velocities], strict=True))
+    return dict(zip(NAMES, [*values, forces, boundary, x, velocities], strict=True))
 
 
 def simulate(simulator, given, substeps, **more):
     state = State.start(given["positions"], given["velocities"], simulator.time_step, simulator.n_past)
     material = grid_material(given["stretching"], given["shearing"], given["bending"])
-    return rollout(simulator, state, material, given["forces"], given["anchors"], substeps, **more)
+    return rollout(simulator, state, material, given["forces"], given["boundary"], substeps, **more)
 
 
 @pytest.mark.parametrize("substeps", [1, 2])
@@ -92,20 +92,20 @@ def test_autograd_of_a_rollout_against_finite_differences(name, integrator, subs
 
 
 def pack(given, change):
-    """Perturbation from arrays by name; held vertices of frame 0 move with their anchors."""
+    """Perturbation from arrays by name; pinned vertices of frame 0 move with their boundary positions."""
     return Perturbation(
         forces=change["forces"],
         stiffness=np.array([change["stretching"], change["shearing"], change["bending"]]),
-        anchors=change["anchors"],
+        boundary=change["boundary"],
         positions=change["positions"],
         velocities=change["velocities"],
     )
 
 
-def random_change(given, held, seed):
+def random_change(given, pinned, seed):
     rng = np.random.default_rng(seed)
     change = {k: UNITS[k] * rng.normal(size=v.shape[1:]) for k, v in given.items()}
-    change["positions"][held] = change["anchors"][0]
+    change["positions"][pinned] = change["boundary"][0]
     return change
 
 
@@ -115,12 +115,12 @@ def moved(given, change, by):
 
 @pytest.mark.parametrize("substeps", [1, 3, UNEVEN])
 @pytest.mark.parametrize("integrator", INTEGRATORS)
-@pytest.mark.parametrize("held", [(), (0, 4), (0, 1, 2, 3, 4)])
-def test_tangent_against_finite_differences(integrator, substeps, held):
-    simulator = simulator_of(integrator, substeps, held)
+@pytest.mark.parametrize("pinned", [(), (0, 4), (0, 1, 2, 3, 4)])
+def test_tangent_against_finite_differences(integrator, substeps, pinned):
+    simulator = simulator_of(integrator, substeps, pinned)
     given = inputs(simulator)
     base = simulate(simulator, given, substeps, linearize=True)
-    change = random_change(given, simulator.cloth.held.numpy(), 0)
+    change = random_change(given, simulator.cloth.pinned.numpy(), 0)
     tangent = LinearizedRollout(simulator, base).substep_tangent(pack(given, change))
     eps = 1e-6
     ahead, behind = (simulate(simulator, moved(given, change, s * eps), substeps) for s in (1, -1))
@@ -133,21 +133,21 @@ def test_tangent_against_finite_differences(integrator, substeps, held):
 
 
 def dot(a, b):
-    names = ("forces", "stiffness", "anchors", "positions", "velocities")
+    names = ("forces", "stiffness", "boundary", "positions", "velocities")
     return sum(float((getattr(a, k) * getattr(b, k)).sum()) for k in names)
 
 
 @pytest.mark.parametrize("substeps", [1, 3, UNEVEN])
 @pytest.mark.parametrize("integrator", INTEGRATORS)
-@pytest.mark.parametrize("held", [(), (0, 4)])
-def test_adjoint_is_the_transpose_of_the_tangent(integrator, substeps, held):
+@pytest.mark.parametrize("pinned", [(), (0, 4)])
+def test_adjoint_is_the_transpose_of_the_tangent(integrator, substeps, pinned):
     """<g, J d> = <Jᵀ g, d> for random g and d, to rounding."""
-    simulator = simulator_of(integrator, substeps, held)
+    simulator = simulator_of(integrator, substeps, pinned)
     given = inputs(simulator)
     linear = LinearizedRollout(simulator, simulate(simulator, given, substeps, linearize=True))
     assert linear.exact
     for seed in range(3):
-        d = pack(given, random_change(given, simulator.cloth.held.numpy(), seed))
+        d = pack(given, random_change(given, simulator.cloth.pinned.numpy(), seed))
         g = np.random.default_rng(seed + 10).normal(size=(FRAMES, 20, 3))
         left, right = float((g * linear.tangent(d)).sum()), dot(linear.adjoint(g), d)
         scale = np.abs(g * linear.tangent(d)).sum()
@@ -165,12 +165,12 @@ def test_adjoint_equals_autograd(integrator, substeps):
         zip(NAMES, torch.autograd.grad((g * motion.positions[0]).sum(), tuple(given.values())), strict=True)
     )
     adjoint = LinearizedRollout(simulator, motion).adjoint(g.numpy())
-    # LinearizedRollout ties the held vertices of frame 0 to their anchors; autograd tells them apart.
-    held = simulator.cloth.held
+    # LinearizedRollout ties the pinned vertices of frame 0 to their boundary positions; autograd tells them apart.
+    pinned = simulator.cloth.pinned
     expected = {k: v[0].clone() for k, v in auto.items()}
-    expected["anchors"][0] += expected["positions"][held]
-    expected["positions"][held] = 0
-    assert not expected["velocities"][held].any()
+    expected["boundary"][0] += expected["positions"][pinned]
+    expected["positions"][pinned] = 0
+    assert not expected["velocities"][pinned].any()
     expected["stiffness"] = torch.stack([expected.pop(k) for k in NAMES[:3]])
     for name, value in expected.items():
         torch.testing.assert_close(
@@ -209,20 +209,20 @@ def test_a_rollout_without_derivatives_is_refused():
 
 @pytest.mark.parametrize("steps_before", [1, 3])
 def test_tangent_of_a_window_that_begins_in_the_middle_of_a_motion(steps_before):
-    """The past before the window is given; forces, stiffnesses and later anchors may change."""
+    """The past before the window is given; forces, stiffnesses and later boundary positions may change."""
     simulator = simulator_of("BDF2", 1)
     given = inputs(simulator)
     state = simulate(simulator, given, 1).steps[steps_before - 1].state
-    held = simulator.cloth.held.numpy()
-    change = random_change(given, held, 0)
+    pinned = simulator.cloth.pinned.numpy()
+    change = random_change(given, pinned, 0)
     for name in ("positions", "velocities"):
         change[name][:] = 0
-    change["anchors"][0] = 0
+    change["boundary"][0] = 0
 
     def window(by, **more):
         at = moved(given, change, by)
         material = grid_material(at["stretching"], at["shearing"], at["bending"])
-        return rollout(simulator, state, material, at["forces"], at["anchors"], 1, **more)
+        return rollout(simulator, state, material, at["forces"], at["boundary"], 1, **more)
 
     tangent = LinearizedRollout(simulator, window(0.0, linearize=True)).tangent(pack(given, change))
     numeric = ((window(1e-6).positions - window(-1e-6).positions) / 2e-6)[0].numpy()
@@ -242,7 +242,7 @@ def test_a_saddle_is_visible_in_the_derivatives(caplog):
         "positions": x,
         "velocities": torch.zeros_like(x),
         "forces": torch.zeros(1, 1, 25, 3).double(),
-        "anchors": x[:, None, cloth.held].expand(1, 2, -1, -1),
+        "boundary": x[:, None, cloth.pinned].expand(1, 2, -1, -1),
     }
     with caplog.at_level(logging.WARNING):
         motion = simulate(simulator, given, 1, linearize=True)

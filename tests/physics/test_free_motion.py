@@ -1,4 +1,4 @@
-"""Motion without held vertices: free fall, drift and momentum, where the answer is known in closed form."""
+"""Motion without pinned vertices: free fall, drift and momentum, where the answer is known in closed form."""
 
 import numpy as np
 import pytest

@@ -60,7 +60,7 @@ def at_rest(cloth: Cloth, material: Material, x: Tensor, force: Tensor, steps: i
     simulator = ImplicitSimulator(cloth, h, BackwardEuler(), NewtonSettings(1e-7, max_iterations=200))
     state = State.start(x[None], torch.zeros_like(x)[None], h, simulator.n_past)
     for _ in range(steps):
-        result = simulator.step(state, material, force[None], x[cloth.held][None])
+        result = simulator.step(state, material, force[None], x[cloth.pinned][None])
         assert result.status == (StepStatus.CONVERGED,)
         # What is left of the motion is thrown away: only where it ends counts.
         found = result.state.positions
@@ -148,14 +148,14 @@ def test_small_strains_are_those_of_linear_elasticity(membrane: type[Membrane]) 
 
 @MEMBRANES
 def test_a_hanging_sheet_stretches_as_a_rod_under_its_weight(membrane: type[Membrane]) -> None:
-    """Held along the top, no lateral contraction: the lower side sinks by ρ g L² / (2 Y), to first order."""
+    """Pinned along the top, no lateral contraction: the lower side sinks by ρ g L² / (2 Y), to first order."""
     length, young = 0.5, 2000.0
     expected = DENSITY * G * length**2 / (2 * young)
     errors = []
     for n in (4, 8, 16):
         x, faces = strip(n, 3, length)
-        held = tuple(torch.nonzero(x[:, 0] == 0).flatten().tolist())
-        cloth = mesh_cloth(x, faces, DENSITY, held, membrane)
+        pinned = tuple(torch.nonzero(x[:, 0] == 0).flatten().tolist())
+        cloth = mesh_cloth(x, faces, DENSITY, pinned, membrane)
         weight = cloth.masses[:, None] * torch.tensor([G, 0.0, 0.0], dtype=torch.float64)
         found = at_rest(cloth, cloth.material(young=young, poisson=0.0, bending=1e-4), x, weight, 20)
         # Linear elements with lumped masses are exact at the vertices of a rod; what is left is second order.
@@ -175,8 +175,8 @@ def test_a_cantilever_bends_by_its_rigidity_and_converges() -> None:
     errors = []
     for n in (10, 20, 40):
         x, faces = strip(n, 4, length)
-        held = tuple(torch.nonzero(x[:, 0] <= length / n + 1e-9).flatten().tolist())
-        cloth = mesh_cloth(x, faces, density, held, NeoHookean)
+        pinned = tuple(torch.nonzero(x[:, 0] <= length / n + 1e-9).flatten().tolist())
+        cloth = mesh_cloth(x, faces, density, pinned, NeoHookean)
         weight = cloth.masses[:, None] * torch.tensor([0.0, 0.0, G], dtype=torch.float64)
         material = cloth.material(young=5e4, poisson=0.0, bending=bending)
         found = at_rest(cloth, material, x, weight, 60, h=1.0)
@@ -207,16 +207,16 @@ def test_rigid_motions_are_free_of_force(membrane: type[Membrane]) -> None:
 
 
 def test_a_hung_sheet_hangs_like_the_grids() -> None:
-    """Held along the top, swung sideways: triangles agree with warp and weft, better if finer."""
+    """Pinned along the top, swung sideways: triangles agree with warp and weft, better if finer."""
     size, young, bending = 0.4, 400.0, 5e-5
     away = []
     for n in (9, 17):
         h = size / (n - 1)
-        held = tuple(range(n))
-        grid = grid_cloth((n, n), (size, size), DENSITY, held)
+        pinned = tuple(range(n))
+        grid = grid_cloth((n, n), (size, size), DENSITY, pinned)
         i, j = torch.meshgrid(*2 * [torch.linspace(0, size, n, dtype=torch.float64)], indexing="ij")
         flat = torch.stack((j, i, torch.zeros_like(i)), -1).reshape(-1, 3)
-        mesh = mesh_cloth(flat, grid.topology.faces, DENSITY, held, StVenantKirchhoff)
+        mesh = mesh_cloth(flat, grid.topology.faces, DENSITY, pinned, StVenantKirchhoff)
         pull = G * torch.tensor([0.3, 1.0, 0.3], dtype=torch.float64)
         # No lateral contraction; four corners of a cell share its shearing: μ = 4 S / h² = Y / 2.
         of_grid = grid_material(young, young * h**2 / 8, bending)
@@ -236,8 +236,8 @@ def moved(cloth: Cloth, material: Material, x: Tensor, force: Tensor) -> Tensor:
     h, n = 0.02, 50
     simulator = ImplicitSimulator(cloth, h, BackwardEuler(), NewtonSettings(1e-6, max_iterations=300))
     state = State.start(x[None], torch.zeros_like(x)[None], h, simulator.n_past)
-    anchors = x[cloth.held].expand(1, n + 1, -1, -1)
-    return rollout(simulator, state, material, force.expand(1, n, -1, 3), anchors, 1).positions[0, -1]
+    boundary = x[cloth.pinned].expand(1, n + 1, -1, -1)
+    return rollout(simulator, state, material, force.expand(1, n, -1, 3), boundary, 1).positions[0, -1]
 
 
 @MEMBRANES
@@ -251,9 +251,9 @@ def test_gradients_of_a_motion_by_all_parameters(membrane: type[Membrane]) -> No
 
     def loss(values: Tensor) -> Tensor:
         state = State.start(x[None], torch.zeros_like(x)[None], 0.02, simulator.n_past)
-        anchors = x[cloth.held].expand(1, 7, -1, -1)
+        boundary = x[cloth.pinned].expand(1, 7, -1, -1)
         material = Material(cloth.energies.parameters, values[None])
-        motion = rollout(simulator, state, material, weight.expand(1, 6, -1, 3), anchors, 1)
+        motion = rollout(simulator, state, material, weight.expand(1, 6, -1, 3), boundary, 1)
         return (motion.positions[0, -1] * goal).sum()
 
     values = torch.tensor([30.0, 0.3, 2e-4], dtype=torch.float64)

@@ -53,9 +53,9 @@ def flat(grid, size):
 def move(cloth, x, v, h, n, acceleration, terms, integrator=None, material=MATERIAL, batch=1, newton=CLOSE):
     simulator = ImplicitSimulator(cloth, h, integrator or BackwardEuler(), newton, terms)
     forces = (cloth.masses[:, None] * acceleration).expand(batch, n, -1, 3)
-    anchors = x[:, None, cloth.held].expand(-1, n + 1, -1, -1)
+    boundary = x[:, None, cloth.pinned].expand(-1, n + 1, -1, -1)
     state = State.start(x, v, h, simulator.n_past)
-    return rollout(simulator, state, material, forces, anchors, 1).positions
+    return rollout(simulator, state, material, forces, boundary, 1).positions
 
 
 def energy(cloth, x, v, material=MATERIAL):
@@ -174,8 +174,8 @@ def test_strip_settles_to_its_natural_curvature(axis, sign):
     n, kappa, length = 13, 8.0 * sign, 0.3
     grid, size = ((n, 3), (length, 0.05)) if axis == 0 else ((3, n), (0.05, length))
     index = torch.arange(3 * n).reshape(grid)
-    held = (index[:2] if axis == 0 else index[:, :2]).reshape(-1)
-    cloth = grid_cloth(grid, size, 0.2, tuple(held.tolist()))
+    pinned = (index[:2] if axis == 0 else index[:, :2]).reshape(-1)
+    cloth = grid_cloth(grid, size, 0.2, tuple(pinned.tolist()))
     material = grid_material(one(80.0), one(3e-4), one(3e-4))
     x = flat(grid, size)
     terms = [RestCurvature({f"axis_{axis}": kappa}), AirDrag({"linear": 4.0})]
@@ -237,8 +237,8 @@ def test_strip_under_tension_shows_anisotropy_and_stiffening(axis):
     """One side held, the opposite pulled: extension of every fibre by its own law."""
     h, w = GRID
     index = torch.arange(h * w).reshape(GRID)
-    held, pulled = (index[0], index[-1]) if axis == 0 else (index[:, 0], index[:, -1])
-    cloth = grid_cloth(GRID, SIZE, 0.2, tuple(held.tolist()))
+    pinned, pulled = (index[0], index[-1]) if axis == 0 else (index[:, 0], index[:, -1])
+    cloth = grid_cloth(GRID, SIZE, 0.2, tuple(pinned.tolist()))
     x = flat(GRID, SIZE)
     force = torch.zeros_like(x[0])
     pull = 0.3
@@ -248,7 +248,7 @@ def test_strip_under_tension_shows_anisotropy_and_stiffening(axis):
     def strain(term):
         forces = force / cloth.masses[:, None]
         end = move(cloth, x, 0 * x, 0.02, 400, forces, [term, AirDrag({"linear": 20.0})], material=soft)
-        span = end[0, -1, pulled[1], 1 - axis] - end[0, -1, held[1], 1 - axis]
+        span = end[0, -1, pulled[1], 1 - axis] - end[0, -1, pinned[1], 1 - axis]
         return float(span) / SIZE[axis] - 1
 
     n = GRID[axis] - 1
@@ -289,7 +289,7 @@ def test_gradients_by_all_inputs_with_terms(integrator):
         "S": one(3e-4),
         "B": one(2e-5),
         "f": cloth.masses[:, None] * (vector(0.0, 9.81, 1.0) + random(1, n, 30, 3)),
-        "a": x[:, None, cloth.held] + 0.002 * random(1, n + 1, 2, 3).cumsum(1),
+        "a": x[:, None, cloth.pinned] + 0.002 * random(1, n + 1, 2, 3).cumsum(1),
     }
     scales = {"x": 1e-3, "v": 0.1, "Y": 60.0, "S": 3e-4, "B": 2e-5, "f": 1e-3, "a": 1e-3}
     along = {k: scales[k] * random(*v.shape) for k, v in given.items()}
@@ -341,8 +341,8 @@ def test_hybrid_simulator_takes_terms():
     g = vector(0.0, 9.81, 3.0)
     state = State.start(x, 0 * x, 0.01, simulator.n_past)
     forces = (cloth.masses[:, None] * g).expand(1, 10, -1, 3)
-    anchors = x[:, None, cloth.held].expand(-1, 11, -1, -1)
-    hybrid = rollout(simulator, state, MATERIAL, forces, anchors, 1).positions
+    boundary = x[:, None, cloth.pinned].expand(-1, 11, -1, -1)
+    hybrid = rollout(simulator, state, MATERIAL, forces, boundary, 1).positions
     implicit = move(cloth, x, 0 * x, 0.01, 10, g, terms, BDF2(), newton=TIGHT)
     assert (hybrid - implicit).abs().max() <= 1e-9
     plain = move(cloth, x, 0 * x, 0.01, 10, g, [], BDF2())

@@ -65,7 +65,7 @@ def test_r1_is_complete_and_cropped(r1: Scene) -> None:
     # 24 px around the masks: a fraction of the 1080 x 1920 image.
     assert r1.camera.height < 540
     assert r1.camera.width < 540
-    assert r1.held_vertices == (0, 992)
+    assert r1.pinned_vertices == (0, 992)
 
 
 def test_r1_template_projects_into_mask_0(r1: Scene) -> None:
@@ -144,8 +144,8 @@ def test_templates_are_upright_textured_grids(number: int, data: Path) -> None:
     size = torch.tensor([template.camera.width, template.camera.height])
     error = (template.texture_coordinates * size - template.camera.project(template.positions)).norm(dim=-1)
     assert float(error.mean()) < 10
-    held = template.positions.reshape(-1, 3)[list(template.held_vertices)]
-    assert float(held[:, 1].max()) < float(template.positions[..., 1].mean())
+    pinned = template.positions.reshape(-1, 3)[list(template.pinned_vertices)]
+    assert float(pinned[:, 1].max()) < float(template.positions[..., 1].mean())
     assert template.texture.shape[:2] == (template.camera.height, template.camera.width)
 
 

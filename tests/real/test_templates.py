@@ -43,7 +43,7 @@ def made(still: Still, surface):
         surface,
         Layout((32, 32), None, None),
         name="R1",
-        held_vertices=None,
+        pinned_vertices=None,
         gravity=(0, 9.81, 0),
         minimum_iou=0.8,
     )
@@ -64,7 +64,7 @@ def test_shuffled_triangles_of_r1(still, root, tmp_path) -> None:
     assert result.iou > 0.97
     for lengths in result.edges:
         assert lengths.std() < 0.012 * lengths.mean()
-    assert result.scene.held_vertices == template.held_vertices
+    assert result.scene.pinned_vertices == template.pinned_vertices
     assert result.warnings == ()
 
 

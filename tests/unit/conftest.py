@@ -32,7 +32,7 @@ def problem(swaying_scene: Scene) -> Callable[..., Reconstruction]:
         parameters = ClothParameters(
             swaying_scene.n_frames,
             cloth.n_vertices,
-            len(cloth.held),
+            len(cloth.pinned),
             scene_units(swaying_scene, AREAL_DENSITY),
             stretching=3000.0,
             shearing=shearing,
@@ -67,7 +67,7 @@ def adam() -> Callable[..., SuccessiveFramesAdam]:
                 "bending": 0.01,
                 "wind": 0.05,
                 "turbulence": 1e-3,
-                "anchor_motion": 1e-3,
+                "boundary_motion": 1e-3,
                 "texture_offset": 2e-4,
             },
             "minimum": {"stretching": 10.0, "shearing": 0.01, "bending": 1e-5},

@@ -101,7 +101,7 @@ def residual_force(reconstruction: Reconstruction, trajectory: Tensor) -> OutOfB
         forces = []
         for frame, (at, velocity) in enumerate(zip(x[1:-1], velocities, strict=True), 1):
             now = StepContext(
-                cloth, material, at - step * velocity, velocity, float(times[frame]), step, at[cloth.held]
+                cloth, material, at - step * velocity, velocity, float(times[frame]), step, at[cloth.pinned]
             )
             # Where terms change the elements, this is the elastic force, too.
             forces.append(term_forces(given.terms, now, at).detach())
@@ -117,7 +117,7 @@ def residual_force(reconstruction: Reconstruction, trajectory: Tensor) -> OutOfB
         external_forces=forces.reshape(-1, *scene.grid, 3),
         frame_time=interval if scene.times is None else times.diff(),
         gravity=scene.gravity,
-        held_vertices=scene.held_vertices,
+        pinned_vertices=scene.pinned_vertices,
     )
 
 
@@ -134,8 +134,8 @@ def fitted_parameters(reconstruction: Reconstruction) -> dict[str, npt.ArrayLike
     result.update(reconstruction.effects.numbers())
     result["wind [m/s²]"] = p.wind.detach().numpy()
     result["turbulence [m/s²]"] = p.turbulence.detach().numpy().reshape(-1, *grid, 3)
-    result["anchor motion [m]"] = p.anchor_motion.detach().numpy()
-    result["held vertices"] = reconstruction.cloth.held.numpy()
+    result["boundary motion [m]"] = p.boundary_motion.detach().numpy()
+    result["pinned vertices"] = reconstruction.cloth.pinned.numpy()
     result["texture offset"] = p.texture_offset.detach().numpy().reshape(*grid, 2)
     with torch.no_grad():
         result["masses [kg]"] = reconstruction.setting().cloth.masses.numpy().reshape(grid)

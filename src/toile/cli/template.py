@@ -47,7 +47,7 @@ def run(cfg: DictConfig) -> None:
             corners=None if cfg.corners is None else _corners(cfg.corners),
         ),
         name=folder.resolve().name,
-        held_vertices=cfg.scene.held_vertices,
+        pinned_vertices=cfg.scene.pinned_vertices,
         gravity=tuple(cfg.scene.gravity),
         minimum_iou=cfg.minimum_iou,
     )
@@ -88,7 +88,7 @@ def _print(made: MadeTemplate) -> None:
     rows["cloth size"] = f"{size} m"
     rows["shear angle"] = f"mean {np.abs(made.shear).mean():.2f}°, max {np.abs(made.shear).max():.2f}°"
     rows["IoU of the projection with mask 0"] = f"{made.iou:.3f}"
-    rows["held vertices"] = ", ".join(map(str, scene.held_vertices)) or "none"
+    rows["pinned vertices"] = ", ".join(map(str, scene.pinned_vertices)) or "none"
     for name, value in rows.items():
         table.add_row(Text(name), Text(value))
     out = console()

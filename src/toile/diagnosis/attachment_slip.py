@@ -1,6 +1,6 @@
-"""A held vertex that slips through its attachment, from where the held vertices were tracked.
+"""A pinned vertex that slips through its attachment, from where the pinned vertices were tracked.
 
-Held vertices are mostly held by one body, so what they do relative to each other is small or slow: a share of
+Pinned vertices are mostly pinned by one body, so what they do relative to each other is small or slow: a share of
 their common motion, slow sway of two hands, and errors of tracking, which drift and are far larger along the
 rays of the camera than across. A slip is a relative displacement that comes within a short time and stays.
 """
@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SlipSettings:
-    """What held vertices do without slipping, errors of their tracking among it, and how slips look.
+    """What pinned vertices do without slipping, errors of their tracking among it, and how slips look.
 
     Lists are tried side by side and averaged over.
 
@@ -73,12 +73,12 @@ DEFAULT = SlipSettings()
 
 @dataclass(frozen=True)
 class SlipFit:
-    """How well a slip explains the paths of the held vertices.
+    """How well a slip explains the paths of the pinned vertices.
 
     Attributes:
-        log_evidence: against held vertices that do not slip.
+        log_evidence: against pinned vertices that do not slip.
         mean, covariance: of the displacement, (3,) and (3, 3), in units of its prior deviations.
-        vertex: which held vertex it is that slips, from 0.
+        vertex: which pinned vertex it is that slips, from 0.
         start, duration: of the most probable ramp [s].
     """
 
@@ -97,23 +97,23 @@ def slip_evidence(
     pull: Array | None = None,
     settings: SlipSettings = DEFAULT,
 ) -> SlipFit:
-    """Evidence that one of the held vertices slips.
+    """Evidence that one of the pinned vertices slips.
 
     Every vertex is judged by its displacement relative to the mean of the others, so what all do together
     does not matter. All unknowns but the sizes are Gaussian; sizes of errors and of sway, vertex, start and
-    duration are averaged over, so trying them is penalised for. With two held vertices their relative motion
+    duration are averaged over, so trying them is penalised for. With two pinned vertices their relative motion
     alone does not tell which one slips; the pull and the one that departs more from its own path decide.
 
     Args:
         effect: gives the prior deviations of the displacement; its vertex, start and duration do not matter.
-        positions: tracked held positions (F, n_held, 3) [m] in the camera's frame.
+        positions: tracked pinned positions (F, n_pinned, 3) [m] in the camera's frame.
         fps: frames per second.
-        pull: direction (n_held, 3) in which the cloth pulls at each of them; an attachment only gives way to it.
+        pull: direction (n_pinned, 3) in which the cloth pulls at each of them; an attachment only gives way to it.
             None if unknown.
         settings: see GripSettings.
 
     Returns:
-        See SlipFit; without evidence (0) if fewer than two vertices are held or the clip is too short.
+        See SlipFit; without evidence (0) if fewer than two vertices are pinned or the clip is too short.
 
     Raises:
         InputError: positions or pull do not have these shapes, or are not finite.
@@ -121,9 +121,9 @@ def slip_evidence(
     positions = np.asarray(positions, np.float64)
     if positions.ndim != 3 or positions.shape[2] != 3 or not np.isfinite(positions).all() or not fps > 0:
         raise InputError(
-            "held positions cannot be judged",
+            "pinned positions cannot be judged",
             where="positions",
-            expected="(F, n_held, 3) finite, fps > 0",
+            expected="(F, n_pinned, 3) finite, fps > 0",
             got=f"{positions.shape}, fps {fps:g}",
         )
     F, n = positions.shape[:2]

@@ -1,4 +1,4 @@
-"""Fit of the base model: stiffness and wind for the clip, starts, anchors and smooth forces by window."""
+"""Fit of the base model: stiffness and wind for the clip, starts, boundary positions and smooth forces by window."""
 
 from __future__ import annotations
 

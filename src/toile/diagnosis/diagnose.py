@@ -422,7 +422,7 @@ class _Stages:
 
     @cached_property
     def base_model(self) -> Result[BaseModel]:
-        """Stiffness, wind, starts, anchors and forces of all windows."""
+        """Stiffness, wind, starts, boundary positions and forces of all windows."""
         settings, done = self.settings, [0]
 
         def count(what: str, cost: float) -> None:
@@ -712,7 +712,7 @@ def _calibration(
 def _still_findings(
     reconstruction: Reconstruction, positions: Array, effects: Sequence[Effect], settings: DiagnosisSettings
 ) -> dict[str, Finding]:
-    """Findings from the outline of frame 0, brightness, sharpness and the paths of the held vertices."""
+    """Findings from the outline of frame 0, brightness, sharpness and the paths of the pinned vertices."""
     scene = reconstruction.scene
     outline = template_outline(scene, settings.outline)
     seen = measured_brightness(reconstruction, positions, settings.brightness)
@@ -726,9 +726,9 @@ def _still_findings(
         elif isinstance(effect, ExposureEffect):
             fit = exposure_evidence(effect, smear(reconstruction, positions, settings.exposure))
         elif isinstance(effect, AnchorSlip):
-            held = list(scene.held_vertices)
-            pull = positions[0].mean(0) - positions[0][held]
-            fit = slip_evidence(effect, positions[:, held], scene.fps, pull, settings.attachment_slip)
+            pinned = list(scene.pinned_vertices)
+            pull = positions[0].mean(0) - positions[0][pinned]
+            fit = slip_evidence(effect, positions[:, pinned], scene.fps, pull, settings.attachment_slip)
         else:
             continue
         findings[effect.NAME] = finding(effect, fit.log_evidence, fit.mean, fit.covariance)

@@ -46,7 +46,7 @@ class Instant:
         time_step: h [s].
         stiffness: (3,) Y [N/m], S, B [N·m].
         acceleration: gravity and wind (3,) [m/s²].
-        anchors: held positions at its end (n_held, 3) [m].
+        boundary: pinned positions at its end (n_pinned, 3) [m].
         after: what changes the elements after the effect.
     """
 
@@ -55,7 +55,7 @@ class Instant:
     time_step: float
     stiffness: Array
     acceleration: Array
-    anchors: Array
+    boundary: Array
     after: tuple[ElementTerm, ...] = ()
 
 
@@ -171,5 +171,5 @@ def _context(instant: Instant, cloth: Cloth) -> StepContext:
         velocities=torch.from_numpy(step.velocities),
         time=instant.time,
         time_step=instant.time_step,
-        anchors=torch.from_numpy(instant.anchors),
+        boundary=torch.from_numpy(instant.boundary),
     )

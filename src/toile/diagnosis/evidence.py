@@ -195,7 +195,7 @@ class Evidence:
         return free - self._at((), size, penalised=False).log_evidence
 
     def fisher(self, size: Discrepancy) -> Array:
-        """Information on all effect columns with base, starts, anchors and discrepancy integrated out."""
+        """Information on all effect columns with base, starts, boundary positions and discrepancy integrated out."""
         reduced = self.reduced(size)
         b = self.n_base
         A = reduced.matrix[:b, :b] + np.diag(self.deviations**-2)
@@ -208,7 +208,7 @@ class Evidence:
         size: Discrepancy,
         damping: float,
         longest: Array,
-        held: NDArray[np.bool_] | None = None,
+        frozen: NDArray[np.bool_] | None = None,
         prior_inflation: float | None = None,
     ) -> tuple[Array, Array, list[Array]]:
         """To where the hypothesis that frees these columns has its mean, or a part of the way.
@@ -219,15 +219,15 @@ class Evidence:
             damping: 0 for all the way; what a step costs beside, in prior precisions: enough of it lowers
                 the cost wherever the cost can be lowered.
             longest: change of the base values at most (n_base,).
-            held: windows whose own unknowns stay as they are (n_windows,).
+            frozen: windows whose own unknowns stay as they are (n_windows,).
             prior_inflation: see posterior.
 
         Returns:
             Base values, the effect's numbers, and changes of every window's local columns.
         """
         each = np.full(len(self.systems), damping)
-        if held is not None:
-            each[held] = _HELD
+        if frozen is not None:
+            each[frozen] = _FROZEN
         joined, b = Joined(self.systems, size, each), self.n_base
         index = np.array([*range(b), *columns], int)
         prior_inflation = self.prior_inflation if prior_inflation is None else prior_inflation
@@ -283,4 +283,4 @@ def _near(place: int, last: int) -> range:
 
 
 # Damping that holds a window back: stands for infinity.
-_HELD = 1e6
+_FROZEN = 1e6

@@ -2,7 +2,7 @@
 
 What the cloth does to itself has neither resultant nor torque, and what its holders do has none about the
 line through them. So whatever stretching, bending and damping are really like, the torque of gravity, wind
-and inertia about the line through two held corners must balance: a part of the missing force that does not
+and inertia about the line through two pinned corners must balance: a part of the missing force that does not
 leave that balance alone is external, and the rest may be internal.
 """
 
@@ -17,47 +17,47 @@ TOLERANCE = 0.05
 """See n_balanced."""
 
 
-def n_balanced(held: Array, size: float, tolerance: float = TOLERANCE) -> int:
+def n_balanced(pinned: Array, size: float, tolerance: float = TOLERANCE) -> int:
     """How many resultants and torques the holders leave alone: 6 without any, 3, 1 for a line, else 0.
 
     Args:
-        held: positions of the held vertices (n_held, 3) [m].
+        pinned: positions of the pinned vertices (n_pinned, 3) [m].
         size: of the cloth [m].
         tolerance: singular value of resultants and torques (over the size) of unit forces at the holders, below
             which a direction counts as free.
     """
-    return int(6 - (np.linalg.svd(_reactions(held, size), compute_uv=False) > tolerance).sum())
+    return int(6 - (np.linalg.svd(_reactions(pinned, size), compute_uv=False) > tolerance).sum())
 
 
-def external_first(fields: Array, masses: Array, positions: Array, held: Array, n: int) -> Array:
+def external_first(fields: Array, masses: Array, positions: Array, pinned: Array, n: int) -> Array:
     """Orthonormal combinations of force modes, the first n of which alone disturb the balance.
 
     Args:
-        fields: forces per mass (K, N, 3), zero at held vertices.
+        fields: forces per mass (K, N, 3), zero at pinned vertices.
         masses: (N,) [kg].
         positions: of the vertices (N, 3) [m].
-        held: positions of the held ones (n_held, 3) [m].
+        pinned: positions of the pinned ones (n_pinned, 3) [m].
         n: from n_balanced.
 
     Returns:
         (K, K), one combination per row.
     """
     size = float(np.linalg.norm(positions.max(0) - positions.min(0)))
-    about = held.mean(0) if len(held) else positions.mean(0)
+    about = pinned.mean(0) if len(pinned) else positions.mean(0)
     forces = fields * masses[:, None]
     torques = np.cross((positions - about) / size, forces).sum(1)
     wrenches = np.concatenate((forces.sum(1), torques), 1)
-    left, _, _ = np.linalg.svd(_reactions(held, size))
+    left, _, _ = np.linalg.svd(_reactions(pinned, size))
     disturbed = wrenches @ left[:, 6 - n :]
     combinations, _, _ = np.linalg.svd(disturbed)
     return np.asarray(combinations.T)
 
 
-def _reactions(held: Array, size: float) -> Array:
-    """Resultants and torques over the cloth's size (6, 3 n_held) of unit forces at the held vertices."""
-    if not len(held):
+def _reactions(pinned: Array, size: float) -> Array:
+    """Resultants and torques over the cloth's size (6, 3 n_pinned) of unit forces at the pinned vertices."""
+    if not len(pinned):
         return np.zeros((6, 1))
-    arms = (held - held.mean(0)) / size
-    eye = np.broadcast_to(np.eye(3), (len(held), 3, 3))
+    arms = (pinned - pinned.mean(0)) / size
+    eye = np.broadcast_to(np.eye(3), (len(pinned), 3, 3))
     torques = np.cross(arms[:, None], eye)
     return np.asarray(np.concatenate((eye, torques), 2).reshape(-1, 6).T)

@@ -49,7 +49,7 @@ def predict(
     """Simulate frames first ... last from a state, without free forces; None where the solver fails.
 
     Args:
-        shooting: simulator, tracked positions and anchors.
+        shooting: simulator, tracked positions and boundary positions.
         around: the clip, up to ``last`` at least.
         base: stiffness and wind.
         effects: in the model.
@@ -60,7 +60,7 @@ def predict(
         similar: sub-steps of a motion over the same frames to start every step's solver near.
     """
     wind = base.wind @ shooting.horizontal
-    simulator, _, forces, anchors = changed_simulation(
+    simulator, _, forces, boundary = changed_simulation(
         shooting, effects, around, torch.from_numpy(wind if extra is None else wind + extra)
     )
     k = torch.from_numpy(base.stiffness)[None]
@@ -69,7 +69,7 @@ def predict(
         start,
         Material(simulator.cloth.energies.parameters, k),
         forces[None, first:last],
-        anchors[None, first : last + 1],
+        boundary[None, first : last + 1],
         shooting.substeps,
         similar,
         throw=False,

@@ -133,14 +133,14 @@ def shooting_of(
     simulator = ImplicitSimulator(
         grid.cloth, 1 / scene.fps / substeps, BDF2(), NewtonSettings(settings.newton_tolerance), (tension,)
     )
-    held = grid.cloth.held.numpy()
+    pinned = grid.cloth.pinned.numpy()
     return Shooting(
         simulator,
         substeps,
         gravity,
         horizontal,
         grid.grid,
-        tracked.positions[:, held],
+        tracked.positions[:, pinned],
         tracked,
         settings,
     )
@@ -219,14 +219,14 @@ def effect_systems(
     template = shooting.tracked.positions[0]
     acceleration = shooting.gravity + base.wind @ shooting.horizontal
     h = simulator.time_step
-    held = shooting.simulator.assembly.held
+    pinned = shooting.simulator.assembly.pinned
     after = () if shooting.tension is None else (shooting.tension,)
 
     def shared(window: WindowMotion) -> Callable[[StepForces], Array]:
         def columns(step: StepForces) -> Array:
             time = window.first / around.fps + (step.index + 1) * h
-            anchors = step.positions[held]
-            now = Instant(step, time, h, base.stiffness, acceleration, anchors, after)
+            boundary = step.positions[pinned]
+            now = Instant(step, time, h, base.stiffness, acceleration, boundary, after)
             return np.concatenate((of_base(step), *(force_columns(e, now, around) for e in forces)))
 
         return columns

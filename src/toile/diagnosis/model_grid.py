@@ -59,7 +59,7 @@ def model_grid(scene: Scene, fine: Cloth, side: int | None) -> ModelGrid:
     Rest lengths are arc lengths of the fine cloth at rest: a template that is not evenly spaced stays so.
 
     Args:
-        scene: its grid and held vertices are used.
+        scene: its grid and pinned vertices are used.
         fine: the scene's cloth; areal density, rest lengths.
         side: vertices.
     """
@@ -76,8 +76,8 @@ def model_grid(scene: Scene, fine: Cloth, side: int | None) -> ModelGrid:
     size = float(first.sum(0).mean()), float(second.sum(1).mean())
     area = size[0] * size[1]
     density = float(fine.masses.sum()) / area
-    held = tuple(_nearest(int(k), (H, W), (h, w)) for k in fine.held)
-    cloth = grid_cloth((h, w), size, density, held, torch.from_numpy(lengths))
+    pinned = tuple(_nearest(int(k), (H, W), (h, w)) for k in fine.pinned)
+    cloth = grid_cloth((h, w), size, density, pinned, torch.from_numpy(lengths))
     cell = area / ((h - 1) * (w - 1))
     units = NetworkUnits(density * cell, cell**0.5, PAPER_TIME_STEP)
     to_scene, to_model = np.asarray(prolong, np.float64), np.asarray(restrict, np.float64)

@@ -40,7 +40,7 @@ class StepRefinement:
 def time_step_error(shooting: Shooting, fit: BaseFit) -> float:
     """Mean distance [m] between the fitted windows' motion and the same with half the time step.
 
-    Both start from the same positions and velocities, with the same forces and held vertices.
+    Both start from the same positions and velocities, with the same forces and pinned vertices.
     """
     finer = halved(shooting)
     return _distance(shooting, fit.windows, finer, _finer_windows(shooting, finer, fit.windows, fit.base))
@@ -87,7 +87,7 @@ def halved(shooting: Shooting) -> Shooting:
         shooting.gravity,
         shooting.horizontal,
         shooting.grid,
-        shooting.anchors,
+        shooting.boundary,
         shooting.tracked,
         shooting.settings,
     )

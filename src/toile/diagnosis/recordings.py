@@ -9,8 +9,8 @@ from toile.effects.catalogue import MOVING, STAGES
 _BY_EFFECT = {
     "gravity_tilt": "the same cloth with a plumb line in view",
     "gusts": "the same cloth indoors with windows and doors closed",
-    "air_drag": "two clips, one with slow and one with fast motion of the held corners, in still air",
-    "internal_damping": "two clips, one with slow and one with fast motion of the held corners, in still air",
+    "air_drag": "two clips, one with slow and one with fast motion of the pinned corners, in still air",
+    "internal_damping": "two clips, one with slow and one with fast motion of the pinned corners, in still air",
     "frame_rate": "a running stopwatch in view",
     "focal_error": "a ruler, or a calibration board, held in the plane of the cloth",
     "lens_distortion": "a calibration board that fills the image",
@@ -19,9 +19,9 @@ _BY_EFFECT = {
     "motion_blur": "the same motion with a shorter exposure",
     "anchor_slip": "a mark on the cloth beside each clamp, filmed close up",
     "contact": "the same motion with the cloth half a metre further from everything",
-    "nonuniform_density": "the cloth on scales, then held by its other two corners",
-    "nonuniform_stiffness": "the cloth held by its other two corners",
-    "anisotropic_stiffness": "the cloth turned by 90°, held by two corners of another side",
+    "nonuniform_density": "the cloth on scales, then pinned by its other two corners",
+    "nonuniform_stiffness": "the cloth pinned by its other two corners",
+    "anisotropic_stiffness": "the cloth turned by 90°, pinned by two corners of another side",
     "strain_stiffening": "the cloth with a weight hung from its lower edge",
     "rest_curvature": "the cloth lying on a table, then hanging with its other side to the camera",
 }
@@ -40,9 +40,9 @@ def next_recording(candidates: Sequence[str]) -> str:
     known = [c for c in candidates if c in _BY_EFFECT]
     stages = [STAGES[c] for c in known]
     if not known:
-        return "a second, longer clip of the same cloth with another motion of the held corners"
+        return "a second, longer clip of the same cloth with another motion of the pinned corners"
     if len(known) > 1 and all(stage in MOVING for stage in stages):
-        head = "a second clip with the held corners shaken about 3 cm at 2 to 3 Hz"
+        head = "a second clip with the pinned corners shaken about 3 cm at 2 to 3 Hz"
     else:
         head = ""
     wanted = list(dict.fromkeys(_BY_EFFECT[c] for c in known))

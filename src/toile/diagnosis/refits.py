@@ -371,13 +371,13 @@ def _step(
 
     before = cost(windows, evidence.values, numbers)
     seen = np.array([shooting.image_cost(window) for window in windows])
-    held: NDArray[np.bool_] | None = None
+    frozen: NDArray[np.bool_] | None = None
     for _ in range(2):
         risen: Array | None = None
         tried = damping
         for _ in range(damped.tried):
             values, own, changes = evidence.towards(
-                best.columns, best.discrepancy, tried, longest, held, best.prior_inflation
+                best.columns, best.discrepancy, tried, longest, frozen, best.prior_inflation
             )
             trial = numbers.copy()
             trial[at] = own
@@ -400,8 +400,8 @@ def _step(
                 risen = np.array([shooting.image_cost(window) for window in moved]) - seen
             tried = damped.more(tried)
         # Snap-through buckling at the slightest change makes its window worse whatever the others gain.
-        held = None if risen is None else risen > settings.worst * risen.max()
-        if held is None or held.all():
+        frozen = None if risen is None else risen > settings.worst * risen.max()
+        if frozen is None or frozen.all():
             return None
         damping = 0.0
     return None

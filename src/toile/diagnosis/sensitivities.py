@@ -76,11 +76,11 @@ class Columns:
 
     Attributes:
         forces: (n_active, N, 3) [N]; columns beyond are still zero.
-        anchors: displacement of the held vertices at its end (n_active, n_held, 3) [m].
+        boundary: displacement of the pinned vertices at its end (n_active, n_pinned, 3) [m].
     """
 
     forces: Array
-    anchors: Array
+    boundary: Array
 
 
 class BlockFactor:
@@ -172,7 +172,7 @@ class KnownMotion:
         terms, grid = simulator.terms, simulator.cloth.grid
         self._scene = SceneTerms()
         # The dense blocks that many right-hand sides are solved with are made of a band.
-        self._solver = BandedSolver(simulator.assembly.pattern, simulator.assembly.held)
+        self._solver = BandedSolver(simulator.assembly.pattern, simulator.assembly.pinned)
         self._past_forces = PastForces(terms, grid) if terms and grid is not None else None
         if terms and grid is None:
             raise ValueError("tangents with step terms: expected a cloth on a grid")
@@ -195,7 +195,7 @@ class KnownMotion:
             velocities=torch.from_numpy(self._velocity(n)),
             time=(self._before + n + 1) * simulator.time_step,
             time_step=simulator.time_step,
-            anchors=torch.from_numpy(self.positions[n + 1][simulator.assembly.held]),
+            boundary=torch.from_numpy(self.positions[n + 1][simulator.assembly.pinned]),
         )
 
     def step(self, n: int) -> StepForces:
@@ -229,7 +229,7 @@ class KnownMotion:
         return np.asarray(total / self.simulator.time_step)
 
     def required(self, step: StepForces) -> Array:
-        """External force that makes the motion what it is (N, 3) [N]; zero at held vertices."""
+        """External force that makes the motion what it is (N, 3) [N]; zero at pinned vertices."""
         free = self.simulator.assembly.free
         return np.asarray(free * (step.imbalance + np.tensordot(self.stiffness, step.unit_gradients, 1)))
 
@@ -255,7 +255,7 @@ class KnownMotion:
             velocities: of the velocities there (R, N, 3) [m/s].
         """
         assembly = self.simulator.assembly
-        held = assembly.held
+        pinned = assembly.pinned
         order = np.argsort(self._solver.order)
         x0, v0 = (a.reshape(len(a), -1).T.astype(np.float32) for a in (start, velocities))
         zero = np.zeros_like(x0)
@@ -263,7 +263,7 @@ class KnownMotion:
         history = [x0 - np.float32(i * self.past_step) * v0 for i in range(self._history)]
         speed = v0
         free = assembly.free.reshape(-1)[:, None].astype(np.float32)
-        held_rows = (3 * held[:, None] + np.arange(3)).reshape(-1)
+        pinned_rows = (3 * pinned[:, None] + np.arange(3)).reshape(-1)
         for n in range(first * substeps, last * substeps):
             weights, inertia = self.coefficients(n)
             step = self.step(n)
@@ -277,14 +277,14 @@ class KnownMotion:
             past = self._past_forces
             if past is not None and past.remember:
                 b += past.change(self.context(n), step.positions, history[0][:, :m], speed[:, :m])
-            anchors = right.anchors.reshape(m, -1).astype(np.float32)
-            b -= coupling.T.astype(np.float32) @ anchors.T
+            boundary = right.boundary.reshape(m, -1).astype(np.float32)
+            b -= coupling.T.astype(np.float32) @ boundary.T
             b *= free
             x = np.empty_like(zero)
             x[:, m:] = 0
             solved = factor.solve(np.ascontiguousarray(b[order]))
             x[order, :m] = solved
-            x[held_rows, :m] = anchors.T
+            x[pinned_rows, :m] = boundary.T
             history = [x, *history[:-1]]
             ends = (n + 1) % substeps == 0
             if ends or (past is not None and past.remember):

@@ -1,4 +1,4 @@
-"""Multiple shooting: short simulations with starts, anchors and forces of their own, stiffness shared.
+"""Multiple shooting: short simulations with starts, boundary positions and forces of their own, stiffness shared.
 
 Long rollouts amplify every error, so the clip is cut into windows. Within one, the cloth moves by its own
 equations; what may differ from them is a force field with few, smooth modes in space and time, whose size is
@@ -45,12 +45,12 @@ class ShootingSettings:
         window: frames of a window.
         modes: cosine modes along each side, for the state at a window's start and for the forces.
         force_knot: frames between knots of the force.
-        anchor_knot: frames between knots of the anchors.
+        boundary_knot: frames between knots of the boundary positions.
         start_position: deviation of each mode of the start's positions [m].
         start_velocity: of its velocities [m/s].
         jump_position: of each mode of what lies between the end of a window and the start of the next [m].
         jump_velocity: of its velocities [m/s].
-        anchor: of the anchors at a knot [m].
+        boundary: of the boundary positions at a knot [m].
         stiffness: of log Y, S, B.
         wind: of each horizontal component [m/s²].
         force: of each mode of the force per mass while the base is fitted [m/s²].
@@ -76,12 +76,12 @@ class ShootingSettings:
     window: Annotated[Count, Unit("frames")] = 8
     modes: Count = 6
     force_knot: Annotated[Count, Unit("frames")] = 4
-    anchor_knot: Annotated[Count, Unit("frames")] = 2
+    boundary_knot: Annotated[Count, Unit("frames")] = 2
     start_position: Annotated[Positive, Unit("m")] = 0.003
     start_velocity: Annotated[Positive, Unit("m/s")] = 0.06
     jump_position: Annotated[Positive, Unit("m")] = 0.0003
     jump_velocity: Annotated[Positive, Unit("m/s")] = 0.006
-    anchor: Annotated[Positive, Unit("m")] = 0.003
+    boundary: Annotated[Positive, Unit("m")] = 0.003
     stiffness: Positive = 1.0
     wind: Annotated[Positive, Unit("m/s²")] = 2.0
     force: Annotated[Positive, Unit("m/s²")] = 0.7
@@ -163,7 +163,7 @@ class Shooting:
         gravity: (3,) [m/s²].
         horizontal: (2, 3) unit vectors orthogonal to gravity.
         grid: (H, W).
-        anchors: tracked held positions (F, n_held, 3) [m].
+        boundary: tracked pinned positions (F, n_pinned, 3) [m].
         tracked: see Tracked.
         settings: see ShootingSettings.
     """
@@ -175,7 +175,7 @@ class Shooting:
         gravity: Array,
         horizontal: Array,
         grid: tuple[int, int],
-        anchors: Array,
+        boundary: Array,
         tracked: Tracked,
         settings: ShootingSettings,
     ) -> None:
@@ -184,7 +184,7 @@ class Shooting:
         self.gravity = gravity
         self.horizontal = horizontal
         self.grid = grid
-        self.anchors = anchors
+        self.boundary = boundary
         self.tracked = tracked
         self.weight = settings.likelihood_weight
         self.settings = settings
@@ -198,23 +198,23 @@ class Shooting:
         self.n_fields = len(self.fields)
         flat = self.fields.reshape(self.n_fields, -1)
         self._to_modes = np.linalg.solve(flat @ flat.T, flat)
-        self.n_held = len(simulator.cloth.held)
-        held = simulator.assembly.held
+        self.n_pinned = len(simulator.cloth.pinned)
+        pinned = simulator.assembly.pinned
         size = float(np.linalg.norm(np.ptp(tracked.positions[0], axis=0)))
-        self.n_external = n_balanced(tracked.positions[0][held], size, settings.holding)
+        self.n_external = n_balanced(tracked.positions[0][pinned], size, settings.holding)
         self._force_fields: dict[tuple[int, int], Array] = {}
 
-    # The layout of a window's local unknowns: [start positions | start velocities | anchors | forces].
+    # The layout of a window's local unknowns: [start positions | start velocities | boundary positions | forces].
 
     def n_knots(self, n_frames: int, spacing: int) -> int:
         """Knots that cover a window of n_frames intervals."""
         return -(-n_frames // spacing) + 1
 
     def layout(self, n_frames: int) -> tuple[int, int, int]:
-        """Offsets of velocities... of anchors, forces, and the number of local unknowns."""
-        anchors = 2 * self.n_fields
-        forces = anchors + self.n_knots(n_frames, self.settings.anchor_knot) * self.n_held * 3
-        return anchors, forces, forces + self.n_knots(n_frames, self.settings.force_knot) * self.n_fields
+        """Offsets of velocities... of boundary positions, forces, and the number of local unknowns."""
+        boundary = 2 * self.n_fields
+        forces = boundary + self.n_knots(n_frames, self.settings.boundary_knot) * self.n_pinned * 3
+        return boundary, forces, forces + self.n_knots(n_frames, self.settings.force_knot) * self.n_fields
 
     def external(self, n_frames: int) -> NDArray[np.bool_]:
         """Which local unknowns are forces that disturb the balance of torques (n_local,)."""
@@ -225,39 +225,39 @@ class Shooting:
     def force_fields(self, first: int, last: int) -> Array:
         """Force modes per mass (n_knots, n_fields, N, 3) of a window, external ones first at every knot."""
         if (first, last) not in self._force_fields:
-            held = self.simulator.assembly.held
+            pinned = self.simulator.assembly.pinned
             spacing = self.settings.force_knot
             found = []
             for knot in range(self.n_knots(last - first, spacing)):
                 x = self.tracked.positions[min(first + knot * spacing, last)]
-                turned = external_first(self.fields, self.masses, x, x[held], self.n_external)
+                turned = external_first(self.fields, self.masses, x, x[pinned], self.n_external)
                 found.append(np.tensordot(turned, self.fields, 1))
             self._force_fields[first, last] = np.stack(found)
         return self._force_fields[first, last]
 
     def deviations(self, n_frames: int, force: float, external: float) -> Array:
         """Prior standard deviations of the local unknowns' columns."""
-        anchors, forces, total = self.layout(n_frames)
+        boundary, forces, total = self.layout(n_frames)
         out = np.empty(total)
         out[: self.n_fields] = self.settings.start_position
-        out[self.n_fields : anchors] = self.settings.start_velocity
-        out[anchors:forces] = self.settings.anchor
+        out[self.n_fields : boundary] = self.settings.start_velocity
+        out[boundary:forces] = self.settings.boundary
         out[forces:] = force
         out[self.external(n_frames)] = external
         return out
 
     def local(self, window: WindowMotion, white: Array) -> tuple[State, Array, Array]:
-        """Start state, held positions (n + 1, n_held, 3) and force per mass (n, N, 3) of local unknowns."""
+        """Start state, pinned positions (n + 1, n_pinned, 3) and force per mass (n, N, 3) of local unknowns."""
         n = window.last - window.first
         oa, of, _ = self.layout(n)
         values = white * self.deviations(n, self.settings.force, self.settings.external)
         x0 = np.tensordot(values[: self.n_fields], self.fields, 1)
         v0 = np.tensordot(values[self.n_fields : oa], self.fields, 1)
         knots = hats(
-            np.arange(n + 1.0), self.settings.anchor_knot, self.n_knots(n, self.settings.anchor_knot)
+            np.arange(n + 1.0), self.settings.boundary_knot, self.n_knots(n, self.settings.boundary_knot)
         )
         moved = (knots @ values[oa:of].reshape(knots.shape[1], -1)).reshape(n + 1, -1, 3)
-        anchors = self.anchors[window.first : window.last + 1] + moved
+        boundary = self.boundary[window.first : window.last + 1] + moved
         knots = hats(np.arange(n) + 0.5, self.settings.force_knot, self.n_knots(n, self.settings.force_knot))
         at_knots = np.einsum(
             "qk,qknc->qnc",
@@ -267,9 +267,9 @@ class Shooting:
         force = np.tensordot(knots, at_knots, 1)
         ref = window.reference
         h = self.simulator.time_step
-        held = self.simulator.assembly.held
+        pinned = self.simulator.assembly.pinned
         positions = ref.positions[0].numpy() + x0
-        positions[held] = anchors[0]
+        positions[pinned] = boundary[0]
         past = ref.past[0].numpy().copy()
         for k in range(len(past)):
             past[k] += x0 - (k + 1) * h * v0
@@ -279,7 +279,7 @@ class Shooting:
             torch.from_numpy(past)[None],
             ref.steps,
         )
-        return state, anchors, force
+        return state, boundary, force
 
     def simulate(
         self,
@@ -298,20 +298,20 @@ class Shooting:
             effects: in the model.
             around: the whole clip; needed with effects.
         """
-        state, anchors, force = self.local(window, white)
+        state, boundary, force = self.local(window, white)
         wind = base.wind @ self.horizontal
         k = torch.from_numpy(base.stiffness)[:, None]
         simulator, forces = (
             self.simulator,
             torch.from_numpy(self.masses[:, None] * (self.gravity + wind + force)),
         )
-        held = torch.from_numpy(anchors)
+        pinned = torch.from_numpy(boundary)
         if effects:
             assert around is not None
             simulator, cloth, total, moved = changed_simulation(self, effects, around, torch.from_numpy(wind))
             forces = total[window.first : window.last] + cloth.masses[:, None] * torch.from_numpy(force)
-            shift = moved - torch.from_numpy(self.anchors[: around.n_frames])
-            held = held + shift[window.first : window.last + 1]
+            shift = moved - torch.from_numpy(self.boundary[: around.n_frames])
+            pinned = pinned + shift[window.first : window.last + 1]
         warm = None
         if len(window.positions):
             warm = torch.from_numpy(window.positions)[None]
@@ -320,7 +320,7 @@ class Shooting:
             state,
             Material(simulator.cloth.energies.parameters, k.T),
             forces[None],
-            held[None],
+            pinned[None],
             self.substeps,
             warm,
             throw=False,
@@ -419,13 +419,13 @@ class Shooting:
         a, b = n_shared, n_shared + self.n_fields
         start[a:b] = self.fields * unit[0]
         speed[b : b + self.n_fields] = self.fields * unit[self.n_fields]
-        held = self.simulator.assembly.held
-        anchor = np.eye(self.n_held * 3).reshape(-1, self.n_held, 3) * self.settings.anchor
-        na = self.n_knots(n, self.settings.anchor_knot)
+        pinned = self.simulator.assembly.pinned
+        boundary = np.eye(self.n_pinned * 3).reshape(-1, self.n_pinned, 3) * self.settings.boundary
+        na = self.n_knots(n, self.settings.boundary_knot)
         nf = self.n_knots(n, self.settings.force_knot)
-        start[n_shared + oa : n_shared + oa + self.n_held * 3, held] = anchor
+        start[n_shared + oa : n_shared + oa + self.n_pinned * 3, pinned] = boundary
         steps = np.arange(n * sub)
-        anchor_hats = hats((steps + 1) / sub, self.settings.anchor_knot, na)
+        boundary_hats = hats((steps + 1) / sub, self.settings.boundary_knot, na)
         force_hats = hats(steps // sub + 0.5, self.settings.force_knot, nf)
         weighted = self.force_fields(window.first, window.last) * simulator.cloth.masses.numpy()[:, None]
         assert window.start is not None
@@ -443,10 +443,10 @@ class Shooting:
             f = np.zeros((R, N, 3))
             columns_now = shared(step)
             f[: len(columns_now)] = columns_now
-            displaced = np.zeros((R, self.n_held, 3))
-            for q in np.flatnonzero(anchor_hats[step.index]):
-                o = n_shared + oa + q * self.n_held * 3
-                displaced[o : o + self.n_held * 3] = anchor_hats[step.index, q] * anchor
+            displaced = np.zeros((R, self.n_pinned, 3))
+            for q in np.flatnonzero(boundary_hats[step.index]):
+                o = n_shared + oa + q * self.n_pinned * 3
+                displaced[o : o + self.n_pinned * 3] = boundary_hats[step.index, q] * boundary
             for q in np.flatnonzero(force_hats[step.index]):
                 o = n_shared + of + q * self.n_fields
                 f[o : o + self.n_fields] = force_hats[step.index, q] * weighted[q]
@@ -475,7 +475,7 @@ class Shooting:
 def changed_simulation(
     shooting: Shooting, effects: Sequence[Effect], around: Surroundings, wind: torch.Tensor
 ) -> tuple[ImplicitSimulator, Cloth, torch.Tensor, torch.Tensor]:
-    """Simulator, cloth, forces (F-1, N, 3) [N] and held positions (F, n_held, 3) [m] with effects.
+    """Simulator, cloth, forces (F-1, N, 3) [N] and pinned positions (F, n_pinned, 3) [m] with effects.
 
     Args:
         shooting: the problem without them.
@@ -483,10 +483,10 @@ def changed_simulation(
         around: the whole clip.
         wind: beside gravity, (3,) or (F-1, N, 3) [m/s²].
     """
-    anchors = torch.from_numpy(shooting.anchors[: around.n_frames])
-    given = setting(effects, around, anchors, wind)
+    boundary = torch.from_numpy(shooting.boundary[: around.n_frames])
+    given = setting(effects, around, boundary, wind)
     nominal = shooting.simulator
     assert isinstance(nominal, ImplicitSimulator)
     step = float(given.frame_interval) / shooting.substeps
     simulator = ImplicitSimulator(given.cloth, step, BDF2(), nominal.newton, (*given.terms, *nominal.terms))
-    return simulator, given.cloth, given.forces, given.anchors
+    return simulator, given.cloth, given.forces, given.boundary

@@ -92,7 +92,7 @@ class Seen:
 
     Attributes:
         known: frames in which the tracked motion is that of the cloth; what comes after is none.
-        findings: from the outline of frame 0, brightness, sharpness and the paths of the held vertices.
+        findings: from the outline of frame 0, brightness, sharpness and the paths of the pinned vertices.
     """
 
     known: int

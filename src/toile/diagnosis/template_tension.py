@@ -70,7 +70,7 @@ def template_tension(
     masses = cloth.masses.numpy()
     assembly = Assembly.of(cloth)
     free = np.ones(len(masses), bool)
-    free[cloth.held.numpy()] = False
+    free[cloth.pinned.numpy()] = False
     edges = cloth.stencils.edges.numpy()
     along = template[edges[:, 1]] - template[edges[:, 0]]
     along /= np.linalg.norm(along, axis=1)[:, None]

@@ -173,7 +173,7 @@ def track_once(
     n = tracking.n_cycles(reconstruction)
     n_coarse = TrackingRecipe({"coarse": first}).n_cycles(reconstruction)
     p, frame_steps = reconstruction.parameters, reconstruction.frame_steps
-    forces, anchors = p.turbulence.detach().clone(), p.anchor_motion.detach().clone()
+    forces, boundary = p.turbulence.detach().clone(), p.boundary_motion.detach().clone()
     early = positions = reconstruction.template.numpy()[None]
     for index in range(n):
         covered = tracking.cycle(reconstruction, index).n_frames
@@ -181,13 +181,13 @@ def track_once(
         assert motion is not None
         positions = frame_steps.at_frames(motion[0]).numpy().copy()
         if covered <= used and index < n_coarse:
-            forces, anchors = p.turbulence.detach().clone(), p.anchor_motion.detach().clone()
+            forces, boundary = p.turbulence.detach().clone(), p.boundary_motion.detach().clone()
         elif covered <= used:
             early = positions[:covered]
         if index == n_coarse - 1:
             with torch.no_grad():
                 p.turbulence[: used - 1] = forces[: used - 1]
-                p.anchor_motion[:used] = anchors[:used]
+                p.boundary_motion[:used] = boundary[:used]
         report(covered, (index + 1) / n)
     positions[: len(early)] = early
     return positions

@@ -1,4 +1,4 @@
-"""Anchor slip: a held corner gives way."""
+"""Anchor slip: a pinned corner gives way."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from typing import Annotated, ClassVar
 import torch
 from torch import Tensor
 
-from toile.effects.base import AnchorEffect, Parameter, Stage, Surroundings
+from toile.effects.base import BoundaryEffect, Parameter, Stage, Surroundings
 from toile.errors import InputError
 from toile.limits import CountOrZero, NonNegative, Positive, Unit
 
 
-class AnchorSlip(AnchorEffect):
-    """One held vertex moves away from its path by a vector, along a smooth ramp 3s² - 2s³, and stays there.
+class AnchorSlip(BoundaryEffect):
+    """One pinned vertex moves away from its path by a vector, along a smooth ramp 3s² - 2s³, and stays there.
 
     Args:
         values: see Effect.
-        vertex: which of the held vertices, from 0.
+        vertex: which of the pinned vertices, from 0.
         start: when it begins [s].
         duration: how long it takes [s].
     """
@@ -51,23 +51,23 @@ class AnchorSlip(AnchorEffect):
             )
         self._vertex, self._start, self._duration = vertex, start, duration
 
-    def anchors(self, anchors: Tensor, around: Surroundings) -> Tensor:
+    def boundary(self, boundary: Tensor, around: Surroundings) -> Tensor:
         """See AnchorEffect.
 
         Raises:
-            InputError: fewer vertices are held.
+            InputError: fewer vertices are pinned.
         """
-        if self._vertex >= anchors.shape[1]:
+        if self._vertex >= boundary.shape[1]:
             raise InputError(
-                "anchor_slip: no such held vertex",
+                "anchor_slip: no such pinned vertex",
                 where="effect=anchor_slip",
-                expected=f"vertex below {anchors.shape[1]}",
+                expected=f"vertex below {boundary.shape[1]}",
                 got=str(self._vertex),
             )
         if not self.is_active:
-            return anchors
+            return boundary
         s = ((around.frame_times() - self._start) / self._duration).clamp(0.0, 1.0)
         ramp = s.square() * (3 - 2 * s)
-        which = torch.zeros(anchors.shape[1], dtype=torch.float64)
+        which = torch.zeros(boundary.shape[1], dtype=torch.float64)
         which[self._vertex] = 1.0
-        return anchors + ramp[:, None, None] * which[None, :, None] * self.values
+        return boundary + ramp[:, None, None] * which[None, :, None] * self.values

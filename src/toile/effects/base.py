@@ -179,12 +179,12 @@ class MassEffect(Effect):
         """Masses (N,) [kg] for nominal masses (N,)."""
 
 
-class AnchorEffect(Effect):
-    """Acts through the motion of the held vertices."""
+class BoundaryEffect(Effect):
+    """Acts through the motion of the pinned vertices."""
 
     @abstractmethod
-    def anchors(self, anchors: Tensor, around: Surroundings) -> Tensor:
-        """Held positions (F, n_held, 3) [m] for nominal ones."""
+    def boundary(self, boundary: Tensor, around: Surroundings) -> Tensor:
+        """Pinned positions (F, n_pinned, 3) [m] for nominal ones."""
 
 
 class TimeEffect(Effect):

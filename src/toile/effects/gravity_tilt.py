@@ -1,4 +1,4 @@
-"""Gravity tilt: the camera was not held as level as the scene says."""
+"""Gravity tilt: the camera was not pinned as level as the scene says."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Effects applied to what a simulation is given: masses, forces, held positions, time, step terms."""
+"""Effects applied to what a simulation is given: masses, forces, pinned positions, time, step terms."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from toile.effects.base import (
-    AnchorEffect,
+    BoundaryEffect,
     Effect,
     ElementEffect,
     ForceEffect,
@@ -29,34 +29,34 @@ class Setting:
     Attributes:
         cloth: with the changed masses.
         forces: of the frames 1 ... F-1, gravity included, (F-1, N, 3) [N].
-        anchors: held positions (F, n_held, 3) [m].
+        boundary: pinned positions (F, n_pinned, 3) [m].
         frame_interval: true time between frames () [s], the mean where they are unevenly spaced.
         terms: for the simulator.
     """
 
     cloth: Cloth
     forces: Tensor
-    anchors: Tensor
+    boundary: Tensor
     frame_interval: Tensor
     terms: tuple[StepTerm, ...]
 
 
 def setting(
-    effects: Sequence[Effect], around: Surroundings, anchors: Tensor, acceleration: Tensor | None = None
+    effects: Sequence[Effect], around: Surroundings, boundary: Tensor, acceleration: Tensor | None = None
 ) -> Setting:
     """Apply all effects that act between forces and positions, in the given order.
 
     Args:
         effects: of any kind; those that act on images alone are passed over.
         around: the nominal clip.
-        anchors: nominal held positions (F, n_held, 3) [m].
+        boundary: nominal pinned positions (F, n_pinned, 3) [m].
         acceleration: wind beside gravity, (3,) or (F-1, 1 or N, 3) [m/s²]; none if None.
     """
     cloth = changed_cloth(effects, around)
     return Setting(
         cloth=cloth,
         forces=external_forces(effects, around, cloth, acceleration),
-        anchors=changed_anchors(effects, around, anchors),
+        boundary=changed_boundary(effects, around, boundary),
         frame_interval=frame_interval(effects, around),
         terms=active_terms(effects),
     )
@@ -97,12 +97,12 @@ def external_forces(
     return (cloth.masses[:, None] * total).expand(around.n_frames - 1, cloth.n_vertices, 3)
 
 
-def changed_anchors(effects: Sequence[Effect], around: Surroundings, anchors: Tensor) -> Tensor:
-    """True held positions (F, n_held, 3) [m] for nominal ones."""
+def changed_boundary(effects: Sequence[Effect], around: Surroundings, boundary: Tensor) -> Tensor:
+    """True pinned positions (F, n_pinned, 3) [m] for nominal ones."""
     for effect in effects:
-        if isinstance(effect, AnchorEffect):
-            anchors = effect.anchors(anchors, around)
-    return anchors
+        if isinstance(effect, BoundaryEffect):
+            boundary = effect.boundary(boundary, around)
+    return boundary
 
 
 def frame_interval(effects: Sequence[Effect], around: Surroundings) -> Tensor:

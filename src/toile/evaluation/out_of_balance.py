@@ -15,7 +15,7 @@ from toile.errors import InputError
 OUT_OF_BALANCE_PROTOCOL = (
     "out-of-balance force (Li et al., 3DV 2021, 4.1.2): r = M a − F_int(x) − F_ext with the centred "
     "difference a_t = (x_{t+1} − 2 x_t + x_{t−1}) / Δt² at the frame rate; mean of |r| over the vertices "
-    "that are not held, divided by their mean weight m |g|; first and last frame have none; mean over the "
+    "that are not pinned, divided by their mean weight m |g|; first and last frame have none; mean over the "
     "other frames"
 )
 
@@ -25,7 +25,7 @@ class OutOfBalanceForce:
     """Out-of-balance force of a trajectory.
 
     Attributes:
-        residual: force residual r of every vertex in the inner frames (F - 2, H, W, 3) [N]; zero at held
+        residual: force residual r of every vertex in the inner frames (F - 2, H, W, 3) [N]; zero at pinned
             vertices.
         per_frame: mean of |r| over free vertices / mean free weight, (F,) [1]; NaN in the first and last
             frame.
@@ -49,7 +49,7 @@ def out_of_balance_force(
     external_forces: Tensor,
     frame_time: float | Tensor,
     gravity: Tensor,
-    held_vertices: tuple[int, ...] = (),
+    pinned_vertices: tuple[int, ...] = (),
 ) -> OutOfBalanceForce:
     """Residual of Newton's second law along a trajectory.
 
@@ -60,7 +60,7 @@ def out_of_balance_force(
     It vanishes up to the O(Δt²) error of the centred difference for physical motion. Where the times before
     and after a frame differ, a_t is the second derivative of the parabola through the three positions, which
     is wrong by a third of their difference times the third derivative of the motion. Forces of the holding
-    hand are unknown, so held vertices are left out of every figure. The normalisation by the mean vertex
+    hand are unknown, so pinned vertices are left out of every figure. The normalisation by the mean vertex
     weight makes grids and cloths comparable: 1 means that a vertex misses a force as large as its own weight.
 
     Args:
@@ -72,7 +72,7 @@ def out_of_balance_force(
             1 to F - 2.
         frame_time: time Δt between two frames [s], or all those times (F - 1,) where they differ.
         gravity: (3,) [m/s²]; only its magnitude is used, for the normalisation.
-        held_vertices: flattened grid indices i * W + j to leave out.
+        pinned_vertices: flattened grid indices i * W + j to leave out.
 
     Raises:
         InputError: fewer than 3 frames, a force of wrong shape, a time step or gravity that is not
@@ -90,7 +90,7 @@ def out_of_balance_force(
     if m.shape != x.shape[1:3]:
         raise _bad("masses", f"shape {tuple(x.shape[1:3])} in kg", str(tuple(m.shape)))
     free = torch.ones(m.numel(), dtype=torch.bool)
-    free[list(held_vertices)] = False
+    free[list(pinned_vertices)] = False
     mean_weight = (
         float(m.flatten()[free].mean() * gravity.detach().cpu().double().norm()) if free.any() else 0.0
     )

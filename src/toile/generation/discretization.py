@@ -31,10 +31,10 @@ def deviation(
     assert truth is not None
     start = starting_point(settings, template)
     material = settings.material(start.cloth_size)
-    sheet = Sheet.of(truth[0], start.cloth_size, settings.areal_density, start.held, material)
+    sheet = Sheet.of(truth[0], start.cloth_size, settings.areal_density, start.pinned, material)
     motion = simulate(
         sheet,
-        held_motion=settings.held_motion,
+        pinned_motion=settings.pinned_motion,
         acceleration=torch.tensor(settings.gravity, dtype=torch.float64)
         + torch.tensor(settings.wind, dtype=torch.float64),
         n_frames=settings.n_frames,

@@ -49,7 +49,7 @@ def generate(
         texture: what is printed on the cloth, (h_t, w_t, 3), float32 in [0, 1]: axis 0 of the grid runs along
             its rows from left to right and axis 1 down. None for the template's own.
         template: real template to start from (grid as in the settings): its pose settles to an equilibrium;
-            its camera, held vertices and mean edge lengths replace those of the settings.
+            its camera, pinned vertices and mean edge lengths replace those of the settings.
         report: told how far it is.
 
     Returns:
@@ -68,7 +68,7 @@ def generate(
     sheet = settled_sheet(settings, start)
     motion = simulate(
         sheet,
-        held_motion=settings.held_motion,
+        pinned_motion=settings.pinned_motion,
         acceleration=torch.tensor(settings.gravity, dtype=torch.float64)
         + torch.tensor(settings.wind, dtype=torch.float64),
         n_frames=settings.n_frames,
@@ -91,7 +91,7 @@ def generate(
         cloth_size=start.cloth_size,
         gravity=torch.tensor(settings.gravity, dtype=torch.float64),
         fps=settings.fps,
-        held_vertices=start.held,
+        pinned_vertices=start.pinned,
         crop=crop,
         original_size=(start.camera.height, start.camera.width),
         ground_truth=GroundTruth(vertices=vertices),

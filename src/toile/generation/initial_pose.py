@@ -24,7 +24,7 @@ def hanging_sheet(
     grid: tuple[int, int],
     cloth_size: tuple[float, float],
     *,
-    held_distance: float,
+    pinned_distance: float,
     distance: float,
     yaw: float,
     gravity: tuple[float, float, float],
@@ -38,7 +38,7 @@ def hanging_sheet(
     Args:
         grid: (H, W).
         cloth_size: rest length of the sides along axis 0 and 1 [m].
-        held_distance: distance of the upper corners as a fraction of the side along axis 0, below 1.
+        pinned_distance: distance of the upper corners as a fraction of the side along axis 0, below 1.
         distance: z of the sheet's centre [m].
         yaw: angle by which the sheet is turned about the direction of gravity [rad].
         gravity: (3,) [m/s²], gives the direction down.
@@ -48,14 +48,14 @@ def hanging_sheet(
         Positions (H, W, 3) [m], float64, camera frame.
 
     Raises:
-        InputError: ``held_distance`` is not in [0.5, 1), or gravity is zero or along the camera's x axis.
+        InputError: ``pinned_distance`` is not in [0.5, 1), or gravity is zero or along the camera's x axis.
     """
-    if not 0.5 <= held_distance < 1:
+    if not 0.5 <= pinned_distance < 1:
         raise InputError(
-            "Distance of the held vertices is out of range",
-            where="held_distance",
+            "Distance of the pinned vertices is out of range",
+            where="pinned_distance",
             expected="a fraction of the cloth's width in [0.5, 1)",
-            got=str(held_distance),
+            got=str(pinned_distance),
         )
     right, down, forward = _upright_axes(gravity, yaw)
     u = torch.linspace(0, 1, grid[0], dtype=torch.float64)[:, None]
@@ -66,8 +66,8 @@ def hanging_sheet(
         for n in (0, 1):
             weight = float(rng.uniform(0.5, 1.0)) * float(rng.choice((-1.0, 1.0))) / (m**1.5 * (1 + 2 * n))
             bend += weight * torch.sin(m * math.pi * u) * torch.cos(n * math.pi * v)
-    bend *= cloth_size[0] * _amplitude(bend, held_distance)
-    along = (u - 0.5) * held_distance * cloth_size[0]
+    bend *= cloth_size[0] * _amplitude(bend, pinned_distance)
+    along = (u - 0.5) * pinned_distance * cloth_size[0]
     below = (v - 0.5) * cloth_size[1]
     centre = torch.tensor([0.0, 0.0, distance], dtype=torch.float64)
     return centre + along[..., None] * right + below[..., None] * down + bend[..., None] * forward
@@ -84,7 +84,7 @@ def settle(
     """Bring a sheet to a stable equilibrium by proximal minimisation of its potential energy.
 
     Every step is one of backward Euler without initial velocity, so the potential energy never rises; the
-    steps grow until the inertia is negligible. Held vertices stay where they are.
+    steps grow until the inertia is negligible. Pinned vertices stay where they are.
 
     Args:
         sheet: in any pose without folds.
@@ -104,7 +104,7 @@ def settle(
     for _ in range(max_steps):
         simulator = ImplicitSimulator(cloth, step, BackwardEuler(), newton)
         state = State.start(positions, torch.zeros_like(positions), step, simulator.n_past)
-        result = simulator.step(state, sheet.material, forces, positions[:, cloth.held])
+        result = simulator.step(state, sheet.material, forces, positions[:, cloth.pinned])
         if result.status[0] is not StepStatus.CONVERGED:
             step /= 4
             continue
@@ -115,7 +115,7 @@ def settle(
         step = min(2 * step, _LAST_STEP)
     raise SimulationError(
         f"no equilibrium after {max_steps} steps: vertices still accelerate by {left:.3g} m/s², more than "
-        f"the tolerance of {tolerance:g}. Try a stiffer bending or another held distance."
+        f"the tolerance of {tolerance:g}. Try a stiffer bending or another pinned distance."
     )
 
 
@@ -138,9 +138,9 @@ def _upright_axes(gravity: tuple[float, float, float], yaw: float) -> tuple[Tens
     return right, down, torch.linalg.cross(right, down)
 
 
-def _amplitude(bend: Tensor, held_distance: float) -> float:
+def _amplitude(bend: Tensor, pinned_distance: float) -> float:
     """Factor on a bend (H, W) over a unit width with which its mean arc length along axis 0 is 1."""
-    run = held_distance / (bend.shape[0] - 1)
+    run = pinned_distance / (bend.shape[0] - 1)
     low, high = 0.0, 10.0
     for _ in range(60):
         middle = 0.5 * (low + high)

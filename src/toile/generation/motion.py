@@ -1,4 +1,4 @@
-"""Motion of the held vertices: smooth functions of time, at rest at t = 0."""
+"""Motion of the pinned vertices: smooth functions of time, at rest at t = 0."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from torch import Tensor
 from toile.limits import NonNegative, Positive, Unit
 
 
-class HeldMotion(ABC):
-    """How all held vertices move together; displacement and velocity are zero at t = 0."""
+class PinnedMotion(ABC):
+    """How all pinned vertices move together; displacement and velocity are zero at t = 0."""
 
     @abstractmethod
     def displacement(self, times: Tensor) -> Tensor:
@@ -23,17 +23,17 @@ class HeldMotion(ABC):
 
 @final
 @dataclass(frozen=True)
-class Still(HeldMotion):
-    """Held vertices that do not move."""
+class Still(PinnedMotion):
+    """Pinned vertices that do not move."""
 
     def displacement(self, times: Tensor) -> Tensor:
-        """See HeldMotion."""
+        """See PinnedMotion."""
         return times.new_zeros(len(times), 3)
 
 
 @final
 @dataclass(frozen=True)
-class Swing(HeldMotion):
+class Swing(PinnedMotion):
     """To and fro between the initial position and another: d(t) = a (1 - cos 2πt/T) / 2.
 
     Attributes:
@@ -45,14 +45,14 @@ class Swing(HeldMotion):
     period: Annotated[Positive, Unit("s")] = 1.2
 
     def displacement(self, times: Tensor) -> Tensor:
-        """See HeldMotion."""
+        """See PinnedMotion."""
         phase = 0.5 * (1 - torch.cos(2 * math.pi * times / self.period))
         return phase[:, None] * torch.tensor(self.amplitude, dtype=times.dtype)
 
 
 @final
 @dataclass(frozen=True)
-class Shake(HeldMotion):
+class Shake(PinnedMotion):
     """Sinusoidal shaking that fades in: d(t) = a s(t / T_in) sin 2πft, s(x) = 3x² - 2x³ up to x = 1, then 1.
 
     Attributes:
@@ -66,7 +66,7 @@ class Shake(HeldMotion):
     fade_in: Annotated[NonNegative, Unit("s")] = 0.25
 
     def displacement(self, times: Tensor) -> Tensor:
-        """See HeldMotion."""
+        """See PinnedMotion."""
         x = (times / self.fade_in).clamp(0, 1)
         phase = x * x * (3 - 2 * x) * torch.sin(2 * math.pi * self.frequency * times)
         return phase[:, None] * torch.tensor(self.amplitude, dtype=times.dtype)

@@ -14,7 +14,7 @@ Simulated on the fit's grid with the true parameters, the vertices deviate from 
 | SHAKEN at 1.5 Hz and (0.01, 0, 0.02) m | 4 | 0.59 | 1.06 | 24 |
 
 What is left with 8 steps is the grid's share. It grows fast where folds are sharper than the grid can bend:
-a similar sheet of 0.5 m with a held distance of 0.8 deviated by 2 %. The truth had 8 steps per frame, that of
+a similar sheet of 0.5 m with a pinned distance of 0.8 deviated by 2 %. The truth had 8 steps per frame, that of
 SHAKEN in the last row but one 4.
 """
 
@@ -28,8 +28,8 @@ from toile.generation.settings import GeneratorSettings
 STANDARD = GeneratorSettings(name="standard")
 """Corners at rest; the wind turns at frame 0, so the cloth swings out of the image plane and back."""
 
-SWUNG = replace(STANDARD, name="swung", held_motion=Swing())
+SWUNG = replace(STANDARD, name="swung", pinned_motion=Swing())
 """The same with both corners moved to and fro."""
 
-SHAKEN = replace(STANDARD, name="shaken", held_motion=Shake())
+SHAKEN = replace(STANDARD, name="shaken", pinned_motion=Shake())
 """The same with both corners shaken, beyond what the grid follows in the last third."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Annotated
 
 from toile.errors import InputError
-from toile.generation.motion import HeldMotion, Still
+from toile.generation.motion import PinnedMotion, Still
 from toile.limits import Count, CountOrZero, Finite, NonNegative, Positive, Seed, TwoOrMore, Unit
 from toile.physics.cloth import GRID_PARAMETERS
 from toile.physics.implicit.newton import NewtonSettings
@@ -36,8 +36,8 @@ class GeneratorSettings:
         gravity: [m/s²], camera frame.
         initial_wind: [m/s²], orthogonal to gravity; frame 0 is the equilibrium under it.
         wind: [m/s²], orthogonal to gravity; blows from frame 0 on.
-        held_distance: distance of the held upper corners as a fraction of the side along axis 0, below 1.
-        held_motion: motion of the held vertices from frame 0 on.
+        pinned_distance: distance of the pinned upper corners as a fraction of the side along axis 0, below 1.
+        pinned_motion: motion of the pinned vertices from frame 0 on.
         distance: z of the cloth's centre before it settles [m].
         yaw: angle by which the cloth is turned about the direction of gravity [degrees].
         image_size: (height, width) [px]; a real template brings its own camera.
@@ -66,8 +66,8 @@ class GeneratorSettings:
     gravity: tuple[float, float, float] = (0.0, 9.81, 0.0)
     initial_wind: tuple[float, float, float] = (0.5, 0.0, -1.0)
     wind: tuple[float, float, float] = (-0.3, 0.0, 1.5)
-    held_distance: Positive = 0.96
-    held_motion: HeldMotion = field(default_factory=Still)
+    pinned_distance: Positive = 0.96
+    pinned_motion: PinnedMotion = field(default_factory=Still)
     distance: Annotated[Positive, Unit("m")] = 1.1
     yaw: Annotated[Finite, Unit("degrees")] = 0.0
     image_size: tuple[Annotated[Count, Unit("px")], Annotated[Count, Unit("px")]] = (480, 480)

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from toile.generation.motion import HeldMotion
+from toile.generation.motion import PinnedMotion
 from toile.physics.cloth import Cloth, grid_cloth
 from toile.physics.implicit.integrators import BDF2
 from toile.physics.implicit.newton import NewtonSettings
@@ -44,18 +44,18 @@ class Sheet:
         pose: Tensor,
         cloth_size: tuple[float, float],
         areal_density: float,
-        held: tuple[int, ...],
+        pinned: tuple[int, ...],
         material: Material,
     ) -> Sheet:
         """A sheet that is flat and evenly spaced at rest; arguments as for grid_cloth."""
         grid = (int(pose.shape[0]), int(pose.shape[1]))
-        return Sheet(pose, grid_cloth(grid, cloth_size, areal_density, held), material)
+        return Sheet(pose, grid_cloth(grid, cloth_size, areal_density, pinned), material)
 
 
 def simulate(
     sheet: Sheet,
     *,
-    held_motion: HeldMotion,
+    pinned_motion: PinnedMotion,
     acceleration: Tensor,
     n_frames: int,
     fps: float,
@@ -65,11 +65,11 @@ def simulate(
 ) -> Tensor:
     """Motion of a sheet that is at rest at frame 0.
 
-    Held vertices follow their motion exactly in every sub-step, not on straight lines between frames.
+    Pinned vertices follow their motion exactly in every sub-step, not on straight lines between frames.
 
     Args:
         sheet: the cloth in its initial pose.
-        held_motion: of the held vertices.
+        pinned_motion: of the pinned vertices.
         acceleration: gravity plus wind, (3,) [m/s²], constant from frame 0 on.
         n_frames: number of frames F.
         fps: frames per second.
@@ -88,10 +88,10 @@ def simulate(
     simulator = _Counting(ImplicitSimulator(sheet.cloth, step, BDF2(), newton), n_steps, report)
     start = sheet.pose.reshape(1, -1, 3)
     times = step * torch.arange(n_steps + 1, dtype=torch.float64)
-    anchors = start[:, sheet.cloth.held] + held_motion.displacement(times)[:, None]
+    boundary = start[:, sheet.cloth.pinned] + pinned_motion.displacement(times)[:, None]
     forces = (sheet.cloth.masses[:, None] * acceleration).expand(1, n_steps, -1, 3)
     state = State.start(start, torch.zeros_like(start), step, simulator.n_past)
-    motion = rollout(simulator, state, sheet.material, forces, anchors[None], substeps=1)
+    motion = rollout(simulator, state, sheet.material, forces, boundary[None], substeps=1)
     return motion.positions[0, ::substeps].reshape(n_frames, *sheet.pose.shape)
 
 

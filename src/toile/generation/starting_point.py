@@ -15,7 +15,7 @@ from toile.generation.simulation import Sheet
 from toile.geometry.camera import Camera
 from toile.scenes.template import Template
 
-_SLACK = 1.01  # a side is at least this much longer than the distance of the corners held at its ends
+_SLACK = 1.01  # a side is at least this much longer than the distance of the corners pinned at its ends
 
 
 @dataclass(frozen=True)
@@ -25,30 +25,30 @@ class StartingPoint:
     Attributes:
         pose: positions on the fit's grid (H, W, 3) [m], float64, not yet in equilibrium.
         cloth_size: rest length of the sides [m].
-        held: flattened indices of held vertices on the fit's grid.
+        pinned: flattened indices of pinned vertices on the fit's grid.
         camera: camera of the whole image.
     """
 
     pose: Tensor
     cloth_size: tuple[float, float]
-    held: tuple[int, ...]
+    pinned: tuple[int, ...]
     camera: Camera
 
 
 def starting_point(settings: GeneratorSettings, template: Template | None) -> StartingPoint:
-    """Starting point of a procedural sheet held at its upper corners, or of a real template."""
+    """Starting point of a procedural sheet pinned at its upper corners, or of a real template."""
     if template is not None:
         return StartingPoint(
             template.positions,
             _measured_size(template),
-            template.held_vertices,
+            template.pinned_vertices,
             template.camera.scaled(settings.image_scale),
         )
     H, W = settings.grid
     pose = hanging_sheet(
         settings.grid,
         settings.cloth_size,
-        held_distance=settings.held_distance,
+        pinned_distance=settings.pinned_distance,
         distance=settings.distance,
         yaw=math.radians(settings.yaw),
         gravity=settings.gravity,
@@ -69,7 +69,7 @@ def settled_sheet(settings: GeneratorSettings, start: StartingPoint) -> Sheet:
     acceleration = torch.tensor(settings.gravity, dtype=torch.float64) + torch.tensor(
         settings.initial_wind, dtype=torch.float64
     )
-    sheet = Sheet.of(start.pose, start.cloth_size, settings.areal_density, start.held, material)
+    sheet = Sheet.of(start.pose, start.cloth_size, settings.areal_density, start.pinned, material)
     sheet = settle(sheet, acceleration, settings.newton, tolerance=settings.settled)
     if settings.refinement == 1:
         return sheet
@@ -77,14 +77,14 @@ def settled_sheet(settings: GeneratorSettings, start: StartingPoint) -> Sheet:
         refine(sheet.pose, settings.refinement),
         start.cloth_size,
         settings.areal_density,
-        refined_vertices(start.held, settings.grid, settings.refinement),
+        refined_vertices(start.pinned, settings.grid, settings.refinement),
         refined_material(material, settings.refinement),
     )
     return settle(fine, acceleration, settings.newton, tolerance=settings.settled)
 
 
 def _measured_size(template: Template) -> tuple[float, float]:
-    """Sides [m] by the template's mean edge lengths, but long enough to reach between held corners."""
+    """Sides [m] by the template's mean edge lengths, but long enough to reach between pinned corners."""
     p = template.positions
     H, W = template.grid
     sides = []
@@ -92,7 +92,7 @@ def _measured_size(template: Template) -> tuple[float, float]:
         mean = float(p.diff(dim=axis).norm(dim=-1).mean()) * (n - 1)
         ends = {0: (0, (H - 1) * W), 1: (0, W - 1)}[axis]
         chord = 0.0
-        if set(ends) <= set(template.held_vertices):
+        if set(ends) <= set(template.pinned_vertices):
             flat = p.reshape(-1, 3)
             chord = float((flat[ends[0]] - flat[ends[1]]).norm())
         sides.append(max(mean, _SLACK * chord))

@@ -33,11 +33,11 @@ def describe(
     - ``si``: the same in N/m, N·m, N·m; ``si_simulated_grid``: on the grid that was simulated
     - ``wind``, ``initial_wind``, ``gravity``: [m/s²]; ``areal_density`` [kg/m²]; ``cloth_size`` [m]
     - ``grid``, ``simulated_grid``, ``substeps``, ``integrator``, ``fps``, ``n_frames``
-    - ``held_vertices``, ``held_motion`` (its kind and numbers), ``template`` (name or null)
+    - ``pinned_vertices``, ``pinned_motion`` (its kind and numbers), ``template`` (name or null)
     - ``settings``: all settings of the generator
     """
     material = settings.material(start.cloth_size)
-    motion = {"kind": type(settings.held_motion).__name__, **asdict(settings)["held_motion"]}
+    motion = {"kind": type(settings.pinned_motion).__name__, **asdict(settings)["pinned_motion"]}
     truth = {
         "format": TRUTH_FORMAT,
         "network_units": {
@@ -58,10 +58,10 @@ def describe(
         "integrator": "BDF2",
         "fps": settings.fps,
         "n_frames": settings.n_frames,
-        "held_vertices": start.held,
-        "held_motion": motion,
+        "pinned_vertices": start.pinned,
+        "pinned_motion": motion,
         "template": None if template is None else template.name,
-        "settings": {**asdict(settings), "held_motion": motion},
+        "settings": {**asdict(settings), "pinned_motion": motion},
     }
     values: dict[str, Any] = json.loads(json.dumps(truth))
     return values

@@ -1,4 +1,4 @@
-"""The cloth itself: elements, rest shape, masses and held vertices."""
+"""The cloth itself: elements, rest shape, masses and pinned vertices."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ class Cloth:
         topology: faces and neighbours.
         energies: what resists its deformation, element by element.
         masses: (N,) float64 [kg].
-        held: (n_held,) int64, vertices whose motion is prescribed.
+        pinned: (n_pinned,) int64, vertices whose motion is prescribed.
     """
 
     topology: Topology
     energies: InternalEnergy
     masses: Tensor
-    held: Tensor
+    pinned: Tensor
 
     def __post_init__(self) -> None:
         n = self.topology.n_vertices
         if tuple(self.masses.shape) != (n,):
             raise ValueError(f"masses: expected shape {(n,)}, got {tuple(self.masses.shape)}")
-        if self.held.numel() and (int(self.held.min()) < 0 or int(self.held.max()) >= n):
-            raise ValueError(f"held: expected vertex indices in [0, {n}), got {self.held.tolist()}")
+        if self.pinned.numel() and (int(self.pinned.min()) < 0 or int(self.pinned.max()) >= n):
+            raise ValueError(f"pinned: expected vertex indices in [0, {n}), got {self.pinned.tolist()}")
         for term in self.energies:
             index = term.stencil
             if index.numel() and (int(index.min()) < 0 or int(index.max()) >= n):
@@ -135,7 +135,7 @@ def grid_cloth(
     grid: tuple[int, int],
     cloth_size: tuple[float, float],
     areal_density: float,
-    held: tuple[int, ...],
+    pinned: tuple[int, ...],
     rest_lengths: Tensor | None = None,
 ) -> Cloth:
     """A rectangular cloth on an H×W grid, flat at rest.
@@ -144,7 +144,7 @@ def grid_cloth(
         grid: (H, W).
         cloth_size: rest lengths of the sides along grid axis 0 and axis 1 [m].
         areal_density: [kg/m²].
-        held: flattened indices of held vertices.
+        pinned: flattened indices of pinned vertices.
         rest_lengths: (E,) [m]; uniform if None.
     """
     stencils = grid_stencils(*grid)
@@ -162,7 +162,7 @@ def grid_cloth(
             )
         ),
         masses=grid_masses(*grid, cloth_size, areal_density),
-        held=torch.tensor(held, dtype=torch.int64),
+        pinned=torch.tensor(pinned, dtype=torch.int64),
     )
 
 
@@ -179,7 +179,7 @@ def mesh_cloth(
     rest: Tensor,
     faces: Tensor,
     areal_density: float,
-    held: tuple[int, ...],
+    pinned: tuple[int, ...],
     membrane: type[Membrane] = NeoHookean,
     *,
     flat: bool = True,
@@ -190,7 +190,7 @@ def mesh_cloth(
         rest: positions at rest (N, 3) [m].
         faces: (T, 3), all turned to the same side.
         areal_density: [kg/m²].
-        held: indices of held vertices.
+        pinned: indices of pinned vertices.
         membrane: which energy of in-plane strain.
         flat: it wants to be flat, as woven; else it keeps the angles of ``rest``.
     """
@@ -204,5 +204,5 @@ def mesh_cloth(
             )
         ),
         masses=mesh_masses(rest, topology.faces, areal_density),
-        held=torch.tensor(held, dtype=torch.int64),
+        pinned=torch.tensor(pinned, dtype=torch.int64),
     )

@@ -38,7 +38,7 @@ class LinearizableSimulator(Simulator):
     found is left to the subclasses. Runs on the CPU in float64.
 
     Args:
-        cloth: elements, rest shape, masses and held vertices; the masses may require gradients.
+        cloth: elements, rest shape, masses and pinned vertices; the masses may require gradients.
         time_step: h [s]; a tensor () that requires gradients gets them.
         integrator: gives prediction and effective step of every step.
         terms: what acts within the step besides, see StepTerm; gradients reach the numbers inside.
@@ -65,13 +65,13 @@ class LinearizableSimulator(Simulator):
         self.integrator = integrator
         self.n_past = integrator.history - 1
         self.assembly = Assembly.of(cloth)
-        self.solver: LinearSolver = chosen_solver(self.assembly.pattern, self.assembly.held)
+        self.solver: LinearSolver = chosen_solver(self.assembly.pattern, self.assembly.pinned)
         self._masses: Array = cloth.masses.detach().numpy()
         self.force_scale = float(self._masses.max()) * STANDARD_GRAVITY
 
     @abstractmethod
     def _starts(
-        self, state: State, material: Material, forces: Tensor, anchors: Tensor, guess: Tensor | None
+        self, state: State, material: Material, forces: Tensor, boundary: Tensor, guess: Tensor | None
     ) -> Tensor:
         """Candidate starts of the minimisation, (B, G, N, 3) [m], detached."""
 
@@ -80,7 +80,7 @@ class LinearizableSimulator(Simulator):
         self,
         starts: Array,
         prediction: Array,
-        anchors: Array,
+        boundary: Array,
         forces: Array,
         stiffness: Array,
         inertia: Array,
@@ -98,7 +98,7 @@ class LinearizableSimulator(Simulator):
         state: State,
         material: Material,
         forces: Tensor,
-        anchors: Tensor,
+        boundary: Tensor,
         guess: Tensor | None = None,
         *,
         linearize: bool = False,
@@ -108,20 +108,20 @@ class LinearizableSimulator(Simulator):
         Raises:
             ValueError: an argument is of wrong shape or type.
         """
-        self._check(state, material, forces, anchors, guess)
+        self._check(state, material, forces, boundary, guess)
         formula = self.integrator.formula(state.steps)
         history = torch.cat((state.positions[:, None], state.past), dim=1)
         weights = torch.tensor(formula.prediction, dtype=history.dtype)
         prediction = (weights[None, :, None, None] * history[:, : self.integrator.history]).sum(1)
         stiffness = self.cloth.energies.coefficients(material.values)
-        starts = self._starts(state, material, forces, anchors, guess)
-        contexts = self._contexts(state, material, anchors)
+        starts = self._starts(state, material, forces, boundary, guess)
+        contexts = self._contexts(state, material, boundary)
         scenes = [SceneTerms.of(self.terms, now) for now in contexts] or [SceneTerms()] * len(forces)
         inertia = self._inertia(formula)
         solutions = self._solve(
             starts.numpy(),
             prediction.detach().numpy(),
-            anchors.detach().numpy(),
+            boundary.detach().numpy(),
             forces.detach().numpy(),
             stiffness.detach().numpy(),
             inertia,
@@ -136,7 +136,7 @@ class LinearizableSimulator(Simulator):
         found = torch.from_numpy(np.stack([s.positions for s in solutions]))
         forces = self._with_hidden_gradients(forces, contexts, formula, prediction, found)
         positions: Tensor = _ImplicitStep.apply(
-            self, inertia, solutions, scenes, found, prediction, stiffness, forces, anchors
+            self, inertia, solutions, scenes, found, prediction, stiffness, forces, boundary
         )
         new_history = torch.cat((positions[:, None], history), dim=1)[:, : self.n_past + 1]
         d = torch.tensor(formula.velocity, dtype=history.dtype)
@@ -157,7 +157,7 @@ class LinearizableSimulator(Simulator):
     def _inertia(self, formula: Formula) -> NDArray[np.float64]:
         return self._masses / (formula.effective_step * self.time_step) ** 2
 
-    def _contexts(self, state: State, material: Material, anchors: Tensor) -> list[StepContext]:
+    def _contexts(self, state: State, material: Material, boundary: Tensor) -> list[StepContext]:
         """What the step terms may know, one per scene; none without terms."""
         if not self.terms:
             return []
@@ -169,9 +169,9 @@ class LinearizableSimulator(Simulator):
                 velocities=state.velocities[b],
                 time=(state.steps + 1) * self.time_step,
                 time_step=self._exact_step,
-                anchors=anchors[b],
+                boundary=boundary[b],
             )
-            for b in range(len(anchors))
+            for b in range(len(boundary))
         ]
 
     def _with_hidden_gradients(
@@ -200,7 +200,7 @@ class LinearizableSimulator(Simulator):
         return forces
 
     def _check(
-        self, state: State, material: Material, forces: Tensor, anchors: Tensor, guess: Tensor | None
+        self, state: State, material: Material, forces: Tensor, boundary: Tensor, guess: Tensor | None
     ) -> None:
         batch, n = state.positions.shape[0], self.cloth.n_vertices
         expected = {
@@ -209,7 +209,7 @@ class LinearizableSimulator(Simulator):
             "past": (state.past, (batch, self.n_past, n, 3)),
             "material": (material.values, (batch, len(self.cloth.energies.parameters))),
             "forces": (forces, (batch, n, 3)),
-            "anchors": (anchors, (batch, len(self.cloth.held), 3)),
+            "boundary": (boundary, (batch, len(self.cloth.pinned), 3)),
         }
         if guess is not None:
             expected["guess"] = (guess, (batch, n, 3))
@@ -245,7 +245,7 @@ def _with_memory(solution: StepSolution, terms: Sequence[StepTerm], now: StepCon
 
 
 class _ImplicitStep(torch.autograd.Function):
-    """x(x̂, k, f, anchors) = argmin Φ, with the adjoint H λ = ∂J/∂x of the optimality condition."""
+    """x(x̂, k, f, boundary positions) = argmin Φ, with the adjoint H λ = ∂J/∂x of the optimality condition."""
 
     @staticmethod
     def forward(
@@ -258,7 +258,7 @@ class _ImplicitStep(torch.autograd.Function):
         prediction: Tensor,
         stiffness: Tensor,
         forces: Tensor,
-        anchors: Tensor,
+        boundary: Tensor,
     ) -> Tensor:
         ctx.simulator, ctx.inertia, ctx.solutions, ctx.scenes = simulator, inertia, solutions, scenes
         ctx.stiffness = stiffness.detach()
@@ -270,7 +270,7 @@ class _ImplicitStep(torch.autograd.Function):
         simulator: LinearizableSimulator = ctx.simulator
         assembly = simulator.assembly
         (gradient,) = gradients
-        to_prediction, to_stiffness, to_forces, to_anchors = [], [], [], []
+        to_prediction, to_stiffness, to_forces, to_boundary = [], [], [], []
         for b, (solution, scene) in enumerate(zip(ctx.solutions, ctx.scenes, strict=True)):
             k = ctx.stiffness[b].numpy()
             linear = solution.linearization
@@ -285,8 +285,8 @@ class _ImplicitStep(torch.autograd.Function):
             to_forces.append(adjoint)
             to_prediction.append(linear.inertia[:, None] * adjoint)
             to_stiffness.append(-(linear.unit_gradients * adjoint).sum((1, 2)))
-            to_anchors.append(g[assembly.held] - (linear.coupling @ adjoint.reshape(-1)).reshape(-1, 3))
+            to_boundary.append(g[assembly.pinned] - (linear.coupling @ adjoint.reshape(-1)).reshape(-1, 3))
         stacked = [
-            torch.from_numpy(np.stack(a)) for a in (to_prediction, to_stiffness, to_forces, to_anchors)
+            torch.from_numpy(np.stack(a)) for a in (to_prediction, to_stiffness, to_forces, to_boundary)
         ]
         return (None, None, None, None, None, *stacked)

@@ -40,7 +40,7 @@ def rollout(
     state: State,
     material: Material,
     forces: Tensor,
-    anchors: Tensor,
+    boundary: Tensor,
     substeps: int | FrameSteps,
     warm_start: Tensor | None = None,
     *,
@@ -54,16 +54,16 @@ def rollout(
         state: at frame 0, batch B.
         material: stiffnesses (B,).
         forces: external force per frame 1 ... F-1, constant over its sub-steps, (B, F-1, N, 3) [N].
-        anchors: positions of held vertices at every frame, (B, F, n_held, 3) [m]; linear in between.
+        boundary: positions of pinned vertices at every frame, (B, F, n_pinned, 3) [m]; linear in between.
         substeps: sub-steps per frame, or which lie between which frames.
         warm_start: all_positions of an earlier, similar rollout; may be shorter.
         linearize: keep the derivatives of every step.
         throw: raise SimulationError where a step does not converge; otherwise its status tells.
     """
     n_frames = forces.shape[1] + 1
-    if anchors.shape[1] != n_frames:
+    if boundary.shape[1] != n_frames:
         raise ValueError(
-            f"anchors: expected {n_frames} frames as given by the forces, got {anchors.shape[1]}"
+            f"boundary positions: expected {n_frames} frames as given by the forces, got {boundary.shape[1]}"
         )
     frame_steps = FrameSteps.regular(substeps, n_frames) if isinstance(substeps, int) else substeps
     if frame_steps.n_frames != n_frames:
@@ -80,9 +80,9 @@ def rollout(
             n = before + sub
             fraction = sub / between
             target = (
-                anchors[:, frame]
+                boundary[:, frame]
                 if sub == between
-                else torch.lerp(anchors[:, frame - 1], anchors[:, frame], fraction)
+                else torch.lerp(boundary[:, frame - 1], boundary[:, frame], fraction)
             )
             guess = None
             if warm_start is not None and n < warm_start.shape[1]:

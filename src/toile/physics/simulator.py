@@ -57,7 +57,7 @@ class Simulator(ABC):
         state: State,
         material: Material,
         forces: Tensor,
-        anchors: Tensor,
+        boundary: Tensor,
         guess: Tensor | None = None,
         *,
         linearize: bool = False,
@@ -68,7 +68,7 @@ class Simulator(ABC):
             state: at time n.
             material: stiffnesses, (B,) each.
             forces: external force on every vertex at time n + 1, gravity included, (B, N, 3) [N].
-            anchors: positions of the held vertices at time n + 1, (B, n_held, 3) [m].
+            boundary: positions of the pinned vertices at time n + 1, (B, n_pinned, 3) [m].
             guess: warm start for the new positions, (B, N, 3) [m].
             linearize: keep what LinearizedRollout needs.
         """

@@ -36,7 +36,7 @@ class StepContext:
         velocities: v_n (N, 3) [m/s].
         time: of the end of the step since frame 0 [s].
         time_step: h [s]; a tensor () where derivatives with respect to it are taken.
-        anchors: where the step ends for held vertices (n_held, 3) [m].
+        boundary: where the step ends for pinned vertices (n_pinned, 3) [m].
     """
 
     cloth: Cloth
@@ -45,7 +45,7 @@ class StepContext:
     velocities: Tensor
     time: float
     time_step: float | Tensor
-    anchors: Tensor
+    boundary: Tensor
 
     def once(self, key: object, compute: Callable[[], T]) -> T:
         """What ``compute`` gives, computed once per step: the solver asks for energies many times.
@@ -77,7 +77,7 @@ class StepContext:
             velocities=self.velocities.detach(),
             time=self.time,
             time_step=float(torch.as_tensor(self.time_step).detach()),
-            anchors=self.anchors.detach(),
+            boundary=self.boundary.detach(),
         )
 
 

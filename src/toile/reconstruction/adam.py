@@ -37,11 +37,11 @@ class SuccessiveFramesAdam(Recipe):
     | stretching, shearing, bending | network units | 50, 0.1, 0.01 |
     | wind | magnitude of gravity | 0.05 |
     | turbulence | network units of force, m L / Δt² | 0.001 |
-    | anchor_motion | grid spacings per frame | 0.001 |
+    | boundary_motion | grid spacings per frame | 0.001 |
     | texture_offset | texture coordinates | 0.0002 |
     | effects | each number's scale | not there |
 
-    The paper moves the held vertices by the turbulence stored at them, read as their velocity. Here they have
+    The paper moves the pinned vertices by the turbulence stored at them, read as their velocity. Here they have
     parameters of their own, and Adam acts on their motion from frame to frame: with the paper's learning rate
     that is the paper's motion, but the force regularisation does not touch it.
 
@@ -115,9 +115,9 @@ class SuccessiveFramesAdam(Recipe):
         self._variables = {name: p.get_parameter(name) for name in of_cloth}
         if "effects" in self.learning_rates and effects.values is not None:
             self._variables["effects"] = (effects.current() / effects.scales).requires_grad_()
-        if "anchor_motion" in self._variables:
-            motion = p.anchor_motion.detach().diff(dim=0)
-            self._variables["anchor_motion"] = motion.requires_grad_()
+        if "boundary_motion" in self._variables:
+            motion = p.boundary_motion.detach().diff(dim=0)
+            self._variables["boundary_motion"] = motion.requires_grad_()
         self._variables = {name: v for name, v in self._variables.items() if v.numel()}
         units = p.units
         acceleration = units.length / units.time**2
@@ -125,7 +125,7 @@ class SuccessiveFramesAdam(Recipe):
         scales = {
             "wind": (float(reconstruction.gravity.norm()), acceleration),
             "turbulence": (acceleration, acceleration),
-            "anchor_motion": (units.length, units.length),
+            "boundary_motion": (units.length, units.length),
         }
         groups = []
         for name, variable in self._variables.items():
@@ -244,10 +244,10 @@ class SuccessiveFramesAdam(Recipe):
         """One step of Adam, then back to what is allowed."""
         assert self._optimizer is not None
         p = reconstruction.parameters
-        motion = self._variables.get("anchor_motion")
+        motion = self._variables.get("boundary_motion")
         if motion is not None:
             # The motion between frames t and t + 1 moves every later frame.
-            later = p.anchor_motion.grad
+            later = p.boundary_motion.grad
             motion.grad = None if later is None else later[1:].flip(0).cumsum(0).flip(0)
         effects = reconstruction.effects
         if "effects" in self._variables and effects.values is not None:
@@ -278,10 +278,10 @@ class SuccessiveFramesAdam(Recipe):
                 effects.values.copy_(
                     (self._variables["effects"] * effects.scales).clamp(effects.low, effects.high)
                 )
-        motion = self._variables.get("anchor_motion")
+        motion = self._variables.get("boundary_motion")
         if motion is not None:
             with torch.no_grad():
-                moved = reconstruction.parameters.anchor_motion
+                moved = reconstruction.parameters.boundary_motion
                 moved[1:] = moved[0] + motion.cumsum(0)
 
 

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from toile.effects.base import (
-    AnchorEffect,
+    BoundaryEffect,
     Effect,
     ElementEffect,
     ForceEffect,
@@ -19,7 +19,7 @@ from toile.effects.base import (
 from toile.effects.catalogue import CATALOGUE
 from toile.errors import InputError
 
-MOTION = (VertexEffect, ElementEffect, ForceEffect, MassEffect, AnchorEffect, TimeEffect)
+MOTION = (VertexEffect, ElementEffect, ForceEffect, MassEffect, BoundaryEffect, TimeEffect)
 """Kinds of effects that a fit takes: those that act between forces and positions."""
 
 STEP_TERMS = (VertexEffect, ElementEffect)

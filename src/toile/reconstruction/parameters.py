@@ -15,7 +15,7 @@ from toile.physics.units import NetworkUnits
 
 
 class ClothParameters(nn.Module):
-    """Unknowns of one reconstruction; N vertices, F frames, n held vertices.
+    """Unknowns of one reconstruction; N vertices, F frames, n pinned vertices.
 
     Attributes:
         stretching, shearing, bending: stiffnesses in the paper's network units (edge 1, frame interval 1,
@@ -23,18 +23,18 @@ class ClothParameters(nn.Module):
         wind: constant external force per mass beside gravity [m/s²], shape (3,).
         turbulence: external force that varies over vertices and frames, divided by an interior vertex's mass
             [m/s²], shape (F-1, N, 3); entry t acts between frame t and frame t + 1.
-        anchor_motion: displacement of the held vertices from the template [m], shape (F, n, 3).
+        boundary_motion: displacement of the pinned vertices from the template [m], shape (F, n, 3).
         texture_offset: change of the texture coordinates, shape (N, 2).
     """
 
-    NAMES = (*GRID_PARAMETERS.names, "wind", "turbulence", "anchor_motion", "texture_offset")
+    NAMES = (*GRID_PARAMETERS.names, "wind", "turbulence", "boundary_motion", "texture_offset")
     STIFFNESSES = GRID_PARAMETERS.names
 
     def __init__(
         self,
         n_frames: int,
         n_vertices: int,
-        n_held: int,
+        n_pinned: int,
         units: NetworkUnits,
         *,
         stretching: Annotated[Positive, Unit("network units")],
@@ -49,7 +49,7 @@ class ClothParameters(nn.Module):
             self.register_parameter(name, nn.Parameter(torch.tensor(stiffnesses[name], dtype=double)))
         self.wind = nn.Parameter(torch.zeros(3, dtype=double))
         self.turbulence = nn.Parameter(torch.zeros(n_frames - 1, n_vertices, 3, dtype=double))
-        self.anchor_motion = nn.Parameter(torch.zeros(n_frames, n_held, 3, dtype=double))
+        self.boundary_motion = nn.Parameter(torch.zeros(n_frames, n_pinned, 3, dtype=double))
         self.texture_offset = nn.Parameter(torch.zeros(n_vertices, 2, dtype=double))
 
     @property

@@ -58,7 +58,7 @@ class SmoothField:
 
 
 class SmoothSeries:
-    """Prior of a time series of vectors, (n, m, 3): anchor motion.
+    """Prior of a time series of vectors, (n, m, 3): boundary motion.
 
     Args:
         n: number of frames.

@@ -68,22 +68,22 @@ class Reconstruction:
     def setting(
         self,
         effects: Sequence[Effect] | None = None,
-        anchor_motion: Tensor | None = None,
+        boundary_motion: Tensor | None = None,
         wind: Tensor | None = None,
     ) -> Setting:
         """What the whole clip is under the effects; forces are without the turbulence.
 
         Args:
             effects: with the numbers they have; None takes those of the fit as they are now.
-            anchor_motion: (F, n_held, 3) [m]; None takes the parameter.
+            boundary_motion: (F, n_pinned, 3) [m]; None takes the parameter.
             wind: (3,) [m/s²]; None takes the parameter.
         """
         p = self.parameters
-        motion = p.anchor_motion if anchor_motion is None else anchor_motion
+        motion = p.boundary_motion if boundary_motion is None else boundary_motion
         return setting(
             self.effects.acting() if effects is None else effects,
             self.around,
-            self.template[self.cloth.held] + motion,
+            self.template[self.cloth.pinned] + motion,
             p.wind if wind is None else wind,
         )
 
@@ -105,15 +105,15 @@ class Reconstruction:
             return p.forces(self.cloth.masses, self.gravity, first, last)
         return given.forces[first:last] + p.units.mass * p.turbulence[first:last]
 
-    def anchors(self, first: int, last: int) -> Tensor:
-        """Positions of the held vertices at frames first ... last, (last - first + 1, n_held, 3) [m]."""
-        return self.setting().anchors[first : last + 1]
+    def boundary(self, first: int, last: int) -> Tensor:
+        """Positions of the pinned vertices at frames first ... last, (last - first + 1, n_pinned, 3) [m]."""
+        return self.setting().boundary[first : last + 1]
 
     def initial_state(self) -> State:
-        """The template at rest, with the held vertices where the anchors say; batch of one."""
+        """The template at rest, with the pinned vertices where the boundary positions say; batch of one."""
         positions = self.template.clone()
-        if len(self.cloth.held):
-            positions = positions.index_copy(0, self.cloth.held, self.anchors(0, 0)[0])
+        if len(self.cloth.pinned):
+            positions = positions.index_copy(0, self.cloth.pinned, self.boundary(0, 0)[0])
         still = torch.zeros_like(positions)
         return State.start(positions[None], still[None], self.simulator.time_step, self.simulator.n_past)
 
@@ -127,7 +127,7 @@ class Reconstruction:
             self.initial_state(),
             self.parameters.material(),
             self.forces(given, 0, n_frames - 1)[None],
-            given.anchors[None, :n_frames],
+            given.boundary[None, :n_frames],
             self.frame_steps.window(0, n_frames - 1),
             warm_start,
             linearize=linearize,

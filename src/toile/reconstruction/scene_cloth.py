@@ -33,11 +33,11 @@ def scene_cloth(
     """The cloth of a scene.
 
     Args:
-        scene: its grid, size and held vertices are used.
+        scene: its grid, size and pinned vertices are used.
         areal_density: [kg/m²]; no video tells it.
         rest_lengths: uniform, template, or another function of that signature.
     """
-    return grid_cloth(scene.grid, scene.cloth_size, areal_density, scene.held_vertices, rest_lengths(scene))
+    return grid_cloth(scene.grid, scene.cloth_size, areal_density, scene.pinned_vertices, rest_lengths(scene))
 
 
 def scene_units(scene: Scene, areal_density: float) -> NetworkUnits:

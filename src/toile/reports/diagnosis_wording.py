@@ -26,7 +26,7 @@ _DIFFERENCES = 3
 """Settings that a caveat names."""
 STAGES = {
     Stage.NUMERICS.value: "solver and time step",
-    Stage.ACTUATION.value: "held vertices, gusts",
+    Stage.ACTUATION.value: "pinned vertices, gusts",
     Stage.MECHANICS.value: "cloth, air and obstacles",
     Stage.CAMERA.value: "focal length and lens",
     Stage.APPEARANCE.value: "light and exposure",

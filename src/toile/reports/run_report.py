@@ -76,7 +76,7 @@ def result_page(run: RunFolder, scene: Scene, renderer: Renderer, n_pictures: in
         ground_truth=true_points(scene, len(positions)),
         error=error_field(positions, scene.ground_truth) or residual_field(drawn.residual),
         force=force_field(trajectory.parameters, len(positions)),
-        held=held_vertices(scene),
+        pinned=pinned_vertices(scene),
         video=drawn.video,
         parameters=reported_parameters(trajectory),
         history=history,
@@ -109,11 +109,11 @@ def true_points(scene: Scene, n_frames: int) -> Sequence[npt.NDArray[np.floating
     return [p.numpy() for p in points[:n_frames]]
 
 
-def held_vertices(scene: Scene) -> npt.NDArray[np.bool_]:
-    """Which vertices of the grid are held (H, W)."""
-    held = np.zeros(scene.grid[0] * scene.grid[1], dtype=bool)
-    held[list(scene.held_vertices)] = True
-    return held.reshape(scene.grid)
+def pinned_vertices(scene: Scene) -> npt.NDArray[np.bool_]:
+    """Which vertices of the grid are pinned (H, W)."""
+    pinned = np.zeros(scene.grid[0] * scene.grid[1], dtype=bool)
+    pinned[list(scene.pinned_vertices)] = True
+    return pinned.reshape(scene.grid)
 
 
 def reported_parameters(trajectory: SavedTrajectory) -> list[ReportedParameter]:

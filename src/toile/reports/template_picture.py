@@ -19,7 +19,7 @@ _AXES = ("axis 0, along the upper side", "axis 1, downwards")
 
 
 def template_picture(made: MadeTemplate) -> Figure:
-    """Grid over frame 0 with names of its corners and held vertices, side view, edge lengths, shear."""
+    """Grid over frame 0 with names of its corners and pinned vertices, side view, edge lengths, shear."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     with mpl.rc_context(STYLE):
@@ -48,14 +48,14 @@ def _over_frame(axis: Axes, made: MadeTemplate) -> None:
     for name, k in corner_vertices(scene.grid).items():
         i, j = divmod(k, scene.grid[1])
         _label(axis, flat[k], middle, f"{name} [{i}, {j}]")
-    held = flat[list(scene.held_vertices)]
-    axis.plot(*held.T, "o", markersize=9, markerfacecolor="none", markeredgewidth=2, color=SERIES[4])
+    pinned = flat[list(scene.pinned_vertices)]
+    axis.plot(*pinned.T, "o", markersize=9, markerfacecolor="none", markeredgewidth=2, color=SERIES[4])
     lower, upper = flat.min(0), flat.max(0)
     margin = _MARGIN * float((upper - lower).max())
     axis.set_xlim(max(lower[0] - margin, 0), min(upper[0] + margin, w))
     axis.set_ylim(min(upper[1] + margin, h), max(lower[1] - margin, 0))
     axis.grid(False)
-    axis.set_title(f"{scene.name}, frame 0: grid, mask (orange), held vertices (circles)")
+    axis.set_title(f"{scene.name}, frame 0: grid, mask (orange), pinned vertices (circles)")
     axis.set_title(f"IoU {made.iou:.3f}", loc="right", color=MUTED)
 
 
@@ -80,8 +80,8 @@ def _view(axis: Axes, made: MadeTemplate, coordinate: int, title: str, label: st
     x, height = p[..., coordinate], -p[..., 1]
     for u, v in ((x, height), (x.T, height.T)):
         axis.plot(u, v, color=RECONSTRUCTION, linewidth=0.4, alpha=0.7)
-    held = list(made.scene.held_vertices)
-    axis.plot(x.ravel()[held], height.ravel()[held], "o", color=SERIES[4], markersize=5)
+    pinned = list(made.scene.pinned_vertices)
+    axis.plot(x.ravel()[pinned], height.ravel()[pinned], "o", color=SERIES[4], markersize=5)
     axis.set_aspect("equal")
     # A flat cloth seen from the side is too narrow for its own axis.
     middle, half = (x.max() + x.min()) / 2, max(np.ptp(x) / 2, 0.25 * np.ptp(height))

@@ -39,13 +39,13 @@ def check_possible(scene: Scene) -> list[Finding]:
             )
         )
     H, W = scene.grid
-    if len(scene.held_vertices) >= H * W:
+    if len(scene.pinned_vertices) >= H * W:
         findings.append(
             _error(
-                "All vertices are held, so nothing moves",
-                f"{where}: held_vertices",
-                "at least one vertex that is not held",
-                f"{len(scene.held_vertices)} of {H * W}",
+                "All vertices are pinned, so nothing moves",
+                f"{where}: pinned_vertices",
+                "at least one vertex that is not pinned",
+                f"{len(scene.pinned_vertices)} of {H * W}",
             )
         )
     x = scene.template.double()

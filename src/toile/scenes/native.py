@@ -16,7 +16,7 @@ Keys of ``scene.json``:
 - ``image_size``: [height, width] of the images in the folder [px], in this order
 - ``K``: 3x3 intrinsic matrix [px], pixel = K (X / Z), (0, 0) at the top-left image corner
 - ``gravity``: [m/s²]; ``cloth_size_m``: [along axis 0, along axis 1]; ``grid``: [H, W]
-- ``held_vertices``: indices i * W + j, may be empty
+- ``pinned_vertices``: indices i * W + j, may be empty
 - ``units``: a text that says "metres"
 - optional: ``times`` (of the frames [s], increasing, the first 0; without it they are evenly spaced at
   ``fps``, with it ``fps`` is the mean rate), ``id`` (name of the scene), ``convention`` (text for people),
@@ -55,7 +55,7 @@ from toile.scenes.texture_coordinates import Texturing, from_file
 from toile.scenes.validation import (
     check_camera,
     check_faces,
-    check_held_vertices,
+    check_pinned_vertices,
     check_template,
     check_timing,
 )
@@ -85,7 +85,7 @@ def load_native(
     texture_coordinates: Texturing = from_file,
     fps: float | None = None,
     gravity: Sequence[float] | None = None,
-    held_vertices: Sequence[int] | None = None,
+    pinned_vertices: Sequence[int] | None = None,
 ) -> Scene:
     """Load a scene in the native layout.
 
@@ -97,7 +97,7 @@ def load_native(
         texture_coordinates: from_file, projected, or another function of that signature.
         fps: replaces the file's frame rate, and its times: the frames count as evenly spaced then.
         gravity: replaces the file's gravity [m/s²].
-        held_vertices: replaces the file's held vertices.
+        pinned_vertices: replaces the file's pinned vertices.
 
     Raises:
         InputError: the first thing that is wrong; scenes.doctor lists them all.
@@ -120,8 +120,8 @@ def load_native(
             changes["notes"] = (*changes["notes"], str(replaced))
     if gravity is not None:
         changes["gravity"] = torch.tensor(list(gravity), dtype=torch.float64)
-    if held_vertices is not None:
-        changes["held_vertices"] = tuple(int(k) for k in held_vertices)
+    if pinned_vertices is not None:
+        changes["pinned_vertices"] = tuple(int(k) for k in pinned_vertices)
     return to_scene(
         replace(recording, **changes),
         crop_margin=crop_margin,
@@ -241,8 +241,8 @@ def survey_native(
             template = mesh.vertices.reshape(*grid, 3)
             coordinates = attempt(findings, lambda: grid_texture_coordinates(mesh, grid, where))
 
-    if grid is not None and values.get("held_vertices") is not None:
-        findings += check_held_vertices(values["held_vertices"], grid, str(path))
+    if grid is not None and values.get("pinned_vertices") is not None:
+        findings += check_pinned_vertices(values["pinned_vertices"], grid, str(path))
     clouds = attempt(findings, lambda: find_point_clouds(folder / "ground_truth"))
     if has_errors(findings) or camera is None or template is None or texture is None or coordinates is None:
         return None, findings
@@ -259,7 +259,7 @@ def survey_native(
         cloth_size=values["cloth_size_m"],
         gravity=torch.tensor(values["gravity"], dtype=torch.float64),
         fps=fps or values["fps"],
-        held_vertices=values["held_vertices"],
+        pinned_vertices=values["pinned_vertices"],
         true_vertices=true_vertices if true_vertices.is_file() else None,
         true_point_clouds=clouds or (),
         crop=values.get("crop") or (0, 0),
@@ -437,7 +437,7 @@ _PARSERS: dict[str, tuple[Callable[[Any], Any], str]] = {
     "gravity": (_list_of(_finite, 3), "[x, y, z] in m/s², finite"),
     "cloth_size_m": (_list_of(_positive, 2), "[along axis 0, along axis 1] in m, positive"),
     "grid": (_list_of(_at_least(2), 2), "[H, W], whole numbers >= 2"),
-    "held_vertices": (_list_of(_count), "list of indices i * W + j, may be empty"),
+    "pinned_vertices": (_list_of(_count), "list of indices i * W + j, may be empty"),
     "units": (_metres, 'a text with the word "metres"'),
 }
 _OPTIONAL: dict[str, tuple[Callable[[Any], Any], str]] = {
@@ -513,7 +513,7 @@ def write_without_images(
         "gravity": scene.gravity.tolist(),
         "cloth_size_m": list(scene.cloth_size),
         "grid": [H, W],
-        "held_vertices": list(scene.held_vertices),
+        "pinned_vertices": list(scene.pinned_vertices),
         "units": "metres, seconds",
         "crop": list(scene.crop),
         "original_size": list(scene.original_size),

@@ -18,7 +18,7 @@ Conventions of the files, measured on R1, and what is done about them, here and 
   and is kept. It disagrees with the projected template by 1.2 to 9.7 px on average (R1: 4.8 px, 273 px with
   1 - v);
 - point clouds, focal length and optical center: OpenCV already;
-- gravity, frame rate and held vertices are not in the files and are arguments.
+- gravity, frame rate and pinned vertices are not in the files and are arguments.
 """
 
 from __future__ import annotations
@@ -47,13 +47,13 @@ from toile.scenes.texture_coordinates import Texturing, from_file
 from toile.scenes.validation import (
     check_camera,
     check_faces,
-    check_held_vertices,
+    check_pinned_vertices,
     check_template,
     check_timing,
 )
 
 GRID = (32, 32)
-HELD_VERTICES = (0, 992)
+PINNED_VERTICES = (0, 992)
 GRAVITY = (0.0, 9.81, 0.0)
 FPS = 50.0  # assumed by the published fit; the data does not state the true rate
 TO_OPENCV = (-1.0, -1.0, 1.0)
@@ -80,7 +80,7 @@ def load_phi_sft(
     texture_coordinates: Texturing = from_file,
     fps: float = FPS,
     gravity: Sequence[float] = GRAVITY,
-    held_vertices: Sequence[int] = HELD_VERTICES,
+    pinned_vertices: Sequence[int] = PINNED_VERTICES,
 ) -> Scene:
     """Load a φ-SfT scene with its video.
 
@@ -93,13 +93,13 @@ def load_phi_sft(
         texture_coordinates: from_file, projected, or another function of that signature.
         fps: frames per second; not stated by the data.
         gravity: (3,) [m/s²], OpenCV camera frame; not stated by the data.
-        held_vertices: flattened indices in the 32×32 grid; not stated by the data.
+        pinned_vertices: flattened indices in the 32×32 grid; not stated by the data.
 
     Raises:
         InputError: the first thing that is wrong; scenes.doctor lists them all.
     """
     recording, findings = survey_phi_sft(
-        name, root, n_frames=n_frames, fps=fps, gravity=gravity, held_vertices=held_vertices
+        name, root, n_frames=n_frames, fps=fps, gravity=gravity, pinned_vertices=pinned_vertices
     )
     notes = tuple(str(f) for f in require(findings) if f.severity is Severity.WARNING)
     assert recording is not None
@@ -128,7 +128,7 @@ def load_phi_sft_template(name: str, root: Path | str) -> Template:
         texture_coordinates=still.texture_coordinates,
         cloth_size=still.cloth_size,
         camera=still.camera,
-        held_vertices=HELD_VERTICES,
+        pinned_vertices=PINNED_VERTICES,
         notes=notes,
     )
 
@@ -140,14 +140,14 @@ def survey_phi_sft(
     n_frames: int | None = None,
     fps: float = FPS,
     gravity: Sequence[float] = GRAVITY,
-    held_vertices: Sequence[int] = HELD_VERTICES,
+    pinned_vertices: Sequence[int] = PINNED_VERTICES,
     check_images: ImageCheck = check_image_files,
 ) -> tuple[Recording | None, list[Finding]]:
     """Read everything but the images' contents and collect what is wrong; arguments as load_phi_sft."""
     root = Path(root)
     still, findings = _survey_still(name, root)
-    held = tuple(int(k) for k in held_vertices)
-    findings += check_timing(fps, name) + check_held_vertices(held, GRID, name)
+    pinned = tuple(int(k) for k in pinned_vertices)
+    findings += check_timing(fps, name) + check_pinned_vertices(pinned, GRID, name)
     if still is None:
         return None, findings
     sequences = attempt(findings, lambda: _find_sequences(still))
@@ -178,7 +178,7 @@ def survey_phi_sft(
         cloth_size=still.cloth_size,
         gravity=torch.tensor(list(gravity), dtype=torch.float64),
         fps=float(fps),
-        held_vertices=held,
+        pinned_vertices=pinned,
         true_point_clouds=clouds,
         original_size=(still.camera.height, still.camera.width),
         notes=tuple(notes),

@@ -41,7 +41,7 @@ class Recording:
         cloth_size: rest length of the two sides [m].
         gravity: (3,), float64 [m/s²].
         fps: frames per second, the mean where they are unevenly spaced.
-        held_vertices: flattened grid indices.
+        pinned_vertices: flattened grid indices.
         true_vertices: .npy file with (F, H, W, 3) [m], or None.
         true_point_clouds: one file per frame, or empty.
         crop: (top, left) of the images on disk in the original image [px].
@@ -61,7 +61,7 @@ class Recording:
     cloth_size: tuple[float, float]
     gravity: Tensor
     fps: float
-    held_vertices: tuple[int, ...]
+    pinned_vertices: tuple[int, ...]
     true_vertices: Path | None = None
     true_point_clouds: tuple[Path, ...] = ()
     crop: tuple[int, int] = (0, 0)
@@ -271,7 +271,7 @@ def assemble(
         cloth_size=recording.cloth_size,
         gravity=recording.gravity,
         fps=recording.fps,
-        held_vertices=recording.held_vertices,
+        pinned_vertices=recording.pinned_vertices,
         crop=(top + box.top, left + box.left),
         original_size=recording.original_size,
         ground_truth=read_ground_truth(recording, len(images)),

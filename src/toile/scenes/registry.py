@@ -38,7 +38,7 @@ def load_scene(
     texture_coordinates: Texturing = from_file,
     fps: Annotated[Positive, Unit("1/s")] | None = None,
     gravity: Annotated[Sequence[Finite], Field(min_length=3, max_length=3), Unit("m/s²")] | None = None,
-    held_vertices: Sequence[CountOrZero] | None = None,
+    pinned_vertices: Sequence[CountOrZero] | None = None,
 ) -> Scene:
     """Load a scene by name ("R1", "a1cb40") or by the path of a native folder.
 
@@ -51,13 +51,13 @@ def load_scene(
         texture_coordinates: from_file, projected, or another function of that signature.
         fps: frames per second; None for what the data (native) or the published fit (φ-SfT: 50) says.
         gravity: [m/s²]; None for what the data says (native) or (0, 9.81, 0).
-        held_vertices: flattened grid indices; None for what the data says (native) or (0, 992).
+        pinned_vertices: flattened grid indices; None for what the data says (native) or (0, 992).
 
     Raises:
         InputError: the scene is not found, has no video, or anything in it is wrong.
     """
     location = find_scene(name, data_dir)
-    changes: dict[str, Any] = {"fps": fps, "gravity": gravity, "held_vertices": held_vertices}
+    changes: dict[str, Any] = {"fps": fps, "gravity": gravity, "pinned_vertices": pinned_vertices}
     options: dict[str, Any] = {
         "n_frames": n_frames,
         "crop_margin": crop_margin,

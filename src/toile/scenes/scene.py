@@ -39,7 +39,7 @@ class Scene:
         cloth_size: rest length of the two sides [m], along grid axis 0 (i) and axis 1 (j).
         gravity: (3,) float64 [m/s²].
         fps: frames per second, the mean where they are unevenly spaced.
-        held_vertices: flattened grid indices i * W + j of vertices held by something.
+        pinned_vertices: flattened grid indices i * W + j of pinned vertices.
         crop: (top, left) of the crop in the original image [px].
         original_size: (height, width) of the original image [px].
         ground_truth: see GroundTruth, or None.
@@ -58,7 +58,7 @@ class Scene:
     cloth_size: tuple[float, float]
     gravity: Tensor
     fps: float
-    held_vertices: tuple[int, ...]
+    pinned_vertices: tuple[int, ...]
     crop: tuple[int, int] = (0, 0)
     original_size: tuple[int, int] = (0, 0)
     ground_truth: GroundTruth | None = None

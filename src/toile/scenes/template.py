@@ -21,7 +21,7 @@ class Template:
         texture_coordinates: (H, W, 2), float32, u to the right and v down from the texture's top-left corner.
         cloth_size: rest length of the two sides [m], along grid axis 0 and axis 1.
         camera: camera of the uncropped image the template was made in.
-        held_vertices: flattened grid indices of the vertices the data set holds.
+        pinned_vertices: flattened grid indices of the vertices the data set holds.
         notes: what the loader changed or found remarkable.
     """
 
@@ -32,7 +32,7 @@ class Template:
     texture_coordinates: Tensor
     cloth_size: tuple[float, float]
     camera: Camera
-    held_vertices: tuple[int, ...] = ()
+    pinned_vertices: tuple[int, ...] = ()
     notes: tuple[str, ...] = ()
 
     @property

@@ -29,15 +29,15 @@ def check_scene(scene: Scene) -> list[Finding]:
     grid = scene.grid
     findings = check_camera(uncropped_camera(scene), where)
     findings += check_template(scene.template.reshape(-1, 3), grid, scene.cloth_size, where)
-    findings += check_held_vertices(scene.held_vertices, grid, where)
+    findings += check_pinned_vertices(scene.pinned_vertices, grid, where)
     findings += check_timing(scene.fps, where)
     if scene.times is not None:
         findings += check_times(scene.times.tolist(), scene.n_frames, scene.fps, where)
     findings += check_masks(scene.masks, where)
     if has_errors(findings):
         return findings
-    findings += check_gravity(scene.gravity, scene.template, scene.held_vertices, where)
-    findings += check_vertex_axes(scene.gravity, scene.template, scene.held_vertices, scene.cloth_size, where)
+    findings += check_gravity(scene.gravity, scene.template, scene.pinned_vertices, where)
+    findings += check_vertex_axes(scene.gravity, scene.template, scene.pinned_vertices, scene.cloth_size, where)
     findings += check_projection(scene, where)
     if not has_errors(findings):
         findings += check_texture(scene, where)
@@ -90,27 +90,27 @@ def check_timing(fps: float, where: str) -> list[Finding]:
     return []
 
 
-def check_held_vertices(held: Sequence[int], grid: tuple[int, int], where: str) -> list[Finding]:
-    """Held vertices are distinct indices of the grid; none is unusual, since the cloth then falls."""
-    where, n = f"{where}: held_vertices", grid[0] * grid[1]
-    outside = [k for k in held if not 0 <= k < n]
+def check_pinned_vertices(pinned: Sequence[int], grid: tuple[int, int], where: str) -> list[Finding]:
+    """Pinned vertices are distinct indices of the grid; none is unusual, since the cloth then falls."""
+    where, n = f"{where}: pinned_vertices", grid[0] * grid[1]
+    outside = [k for k in pinned if not 0 <= k < n]
     if outside:
         return [
             Finding(
                 Severity.ERROR,
-                "Held vertex is out of range",
+                "Pinned vertex is out of range",
                 where,
                 f"indices i * {grid[1]} + j from 0 to {n - 1}",
                 ", ".join(map(str, outside)),
             )
         ]
-    twice = sorted({k for k in held if list(held).count(k) > 1})
+    twice = sorted({k for k in pinned if list(pinned).count(k) > 1})
     if twice:
         got = ", ".join(map(str, twice)) + " more than once"
-        return [Finding(Severity.ERROR, "Held vertex is listed twice", where, "distinct indices", got)]
-    if not held:
+        return [Finding(Severity.ERROR, "Pinned vertex is listed twice", where, "distinct indices", got)]
+    if not pinned:
         expected = "the vertices that it hangs from, if it hangs"
-        return [Finding(Severity.WARNING, "No vertex is held: the cloth falls", where, expected, "none")]
+        return [Finding(Severity.WARNING, "No vertex is pinned: the cloth falls", where, expected, "none")]
     return []
 
 
@@ -335,22 +335,22 @@ def _transposed(positions: Tensor, grid: tuple[int, int]) -> Tensor:
 def check_vertex_axes(
     gravity: Tensor,
     template: Tensor,
-    held: Sequence[int],
+    pinned: Sequence[int],
     cloth_size: tuple[float, float],
     where: str,
 ) -> list[Finding]:
-    """Held vertices hang the cloth, so no reversal or transposition of the grid should lift them far higher.
+    """Pinned vertices hang the cloth, so no reversal or transposition of the grid should lift them far higher.
 
-    A square grid read in transposed order is still a valid grid; only where it is held gives it away.
-    A warning, since a cloth may be held from below or at the side.
+    A square grid read in transposed order is still a valid grid; only where it is pinned gives it away.
+    A warning, since a cloth may be pinned from below or at the side.
     """
     H, W = template.shape[:2]
     strength = float(gravity.norm())
-    if not held or len(held) > max(H, W) or strength == 0:
+    if not pinned or len(pinned) > max(H, W) or strength == 0:
         return []
     height = -(template @ (gravity.double() / strength))  # [m] against gravity
     index = torch.zeros(H, W, dtype=torch.bool)
-    index.view(-1)[list(held)] = True
+    index.view(-1)[list(pinned)] = True
     candidates = {"reversed along axis 1": index.flip(1), "reversed along axis 0": index.flip(0)}
     if H == W:
         candidates = {"transposed": index.T} | candidates
@@ -362,15 +362,15 @@ def check_vertex_axes(
     return [
         Finding(
             Severity.WARNING,
-            f"Held vertices are at the lower side; the vertex order may be {best}",
-            f"{where}: held_vertices",
-            "held vertices at the upper side of the template, against gravity",
+            f"Pinned vertices are at the lower side; the vertex order may be {best}",
+            f"{where}: pinned_vertices",
+            "pinned vertices at the upper side of the template, against gravity",
             f"{gains[best]:.3f} m lower than with the grid {best}",
         )
     ]
 
 
-def check_gravity(gravity: Tensor, template: Tensor, held: Sequence[int], where: str) -> list[Finding]:
+def check_gravity(gravity: Tensor, template: Tensor, pinned: Sequence[int], where: str) -> list[Finding]:
     """Gravity is finite, of ordinary size, and roughly the direction in which the template hangs."""
     where = f"{where}: gravity"
     got = f"{[round(g, 4) for g in gravity.tolist()]} m/s²"
@@ -388,9 +388,9 @@ def check_gravity(gravity: Tensor, template: Tensor, held: Sequence[int], where:
                 f"{strength:.4g} m/s², {got}",
             )
         )
-    if strength > 0 and held:
+    if strength > 0 and pinned:
         flat = template.reshape(-1, 3)
-        hanging = flat.mean(0) - flat[list(held)].mean(0)
+        hanging = flat.mean(0) - flat[list(pinned)].mean(0)
         length = float(hanging.norm())
         if length > 0:
             cosine = float(hanging @ gravity.double()) / (length * strength)
@@ -401,7 +401,7 @@ def check_gravity(gravity: Tensor, template: Tensor, held: Sequence[int], where:
                         Severity.WARNING if angle > 60 else Severity.INFO,
                         "Gravity is not the direction in which the template hangs",
                         where,
-                        "held vertices above the centre of the cloth if frame 0 is at rest",
+                        "pinned vertices above the centre of the cloth if frame 0 is at rest",
                         f"{angle:.1f} degrees between them, gravity {got}",
                     )
                 )

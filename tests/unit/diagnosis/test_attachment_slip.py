@@ -1,4 +1,4 @@
-"""A displacement of one held vertex that comes quickly and stays is a slip; sway, drift and depth are not."""
+"""A displacement of one pinned vertex that comes quickly and stays is a slip; sway, drift and depth are not."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from toile.errors import InputError
 Array = NDArray[np.float64]
 FPS = 25.0
 N_FRAMES = 30
-HELD = np.array([[-0.3, -0.3, 1.4], [0.3, -0.3, 1.4]])
-PULL = HELD.mean(0) + np.array([0.0, 0.3, 0.0]) - HELD
+PINNED = np.array([[-0.3, -0.3, 1.4], [0.3, -0.3, 1.4]])
+PULL = PINNED.mean(0) + np.array([0.0, 0.3, 0.0]) - PINNED
 TIMES = np.arange(N_FRAMES) / FPS
-# Of the second held vertex: towards the first and down, as much across the view as it can be.
+# Of the second pinned vertex: towards the first and down, as much across the view as it can be.
 GIVES_WAY = np.array([-0.8, 0.6, 0.0])
 
 
@@ -32,7 +32,7 @@ def errors(rng: np.random.Generator, size: float, memory: float) -> Array:
 
 
 def motion(kind: str, rng: np.random.Generator) -> Array:
-    """Held positions without a slip."""
+    """Pinned positions without a slip."""
     path = np.zeros((N_FRAMES, 2, 3))
     if kind == "shaken":
         path += 0.03 * np.sin(2 * np.pi * 2 * TIMES)[:, None, None] * [0.5, 0.0, 1.0]
@@ -44,11 +44,11 @@ def motion(kind: str, rng: np.random.Generator) -> Array:
         path *= np.array([1 + difference, 1 - difference])[:, None]
     elif kind == "drifting":
         path += 0.005 * TIMES[:, None, None] / TIMES[-1] * rng.choice([-1, 1], (2, 3))
-    return HELD + path
+    return PINNED + path
 
 
 def slipped(positions: Array, displacement: Array, start: float = 0.5, duration: float = 0.12) -> Array:
-    """The second held vertex gives way."""
+    """The second pinned vertex gives way."""
     s = np.clip((TIMES - start) / duration, 0, 1)
     out = positions.copy()
     out[:, 1] += (s * s * (3 - 2 * s))[:, None] * displacement
@@ -134,25 +134,25 @@ def test_common_motion_does_not_matter() -> None:
     assert one == pytest.approx(other, abs=0.1)
 
 
-def test_three_held_vertices() -> None:
+def test_three_pinned_vertices() -> None:
     rng = np.random.default_rng(0)
     positions = slipped(motion("still", rng) + errors(rng, 0.001, 0.3), 0.04 * GIVES_WAY)
-    third = HELD.mean(0) + errors(rng, 0.001, 0.3)[:, :1]
+    third = PINNED.mean(0) + errors(rng, 0.001, 0.3)[:, :1]
     fit = slip_evidence(AnchorSlip(), np.concatenate((positions, third), 1), FPS)
     assert fit.vertex == 1
     assert fit.log_evidence > 4
 
 
 def test_nothing_to_compare_with() -> None:
-    assert slip_evidence(AnchorSlip(), np.zeros((N_FRAMES, 1, 3)) + HELD[0], FPS).log_evidence == 0
-    assert slip_evidence(AnchorSlip(), np.zeros((5, 2, 3)) + HELD, FPS).log_evidence == 0
+    assert slip_evidence(AnchorSlip(), np.zeros((N_FRAMES, 1, 3)) + PINNED[0], FPS).log_evidence == 0
+    assert slip_evidence(AnchorSlip(), np.zeros((5, 2, 3)) + PINNED, FPS).log_evidence == 0
 
 
 def test_bad_input() -> None:
     with pytest.raises(InputError):
         slip_evidence(AnchorSlip(), np.zeros((N_FRAMES, 2)), FPS)
     with pytest.raises(InputError):
-        slip_evidence(AnchorSlip(), np.zeros((N_FRAMES, 2, 3)) + HELD, FPS, PULL[:1])
+        slip_evidence(AnchorSlip(), np.zeros((N_FRAMES, 2, 3)) + PINNED, FPS, PULL[:1])
 
 
 def test_hands_that_the_settings_let_sway_explain_a_slip() -> None:

@@ -118,14 +118,14 @@ def test_the_end_of_a_window_moves_as_its_derivative_says() -> None:
     )
     simulator = ImplicitSimulator(cloth, 0.04 / substeps, BDF2(), NewtonSettings(1e-10))
     horizontal = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    anchors = positions[:, cloth.held.numpy()]
+    boundary = positions[:, cloth.pinned.numpy()]
     shooting = Shooting(
         simulator,
         substeps,
         np.array([0.0, 9.81, 0.0]),
         horizontal,
         (6, 6),
-        anchors,
+        boundary,
         tracked,
         ShootingSettings(modes=2),
     )

@@ -219,13 +219,13 @@ def test_the_way_to_the_mean_is_gone_as_far_as_is_allowed() -> None:
     np.testing.assert_allclose(part, 0.25 * best.mean)
 
 
-def test_a_window_that_is_held_stays_and_the_others_move() -> None:
+def test_a_window_that_is_frozen_stays_and_the_others_move() -> None:
     systems, _, _ = problem(3, 0.5)
     evidence = Evidence(systems, np.zeros(2), np.ones(2))
     best = evidence.posterior((2,))
     every = evidence.towards(best.columns, best.discrepancy, 0.0, np.full(2, np.inf))[2]
-    held = np.arange(len(systems)) == 1
-    changes = evidence.towards((2,), best.discrepancy, 0.0, np.full(2, np.inf), held)[2]
+    frozen = np.arange(len(systems)) == 1
+    changes = evidence.towards((2,), best.discrepancy, 0.0, np.full(2, np.inf), frozen)[2]
     assert np.abs(changes[1]).max() < 1e-3 * np.abs(every[1]).max()
     assert np.abs(changes[0]).max() > 0.1 * np.abs(every[0]).max()
 

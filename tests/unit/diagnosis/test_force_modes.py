@@ -10,14 +10,14 @@ from toile.diagnosis.force_modes import external_first, n_balanced
 LINE = np.array([[0.0, 0.0, 1.0], [0.5, 0.02, 1.1]])
 
 
-@pytest.mark.parametrize(("held", "expected"), [(0, 6), (1, 3), (2, 1)])
-def test_free_directions_of_holders(held: int, expected: int) -> None:
-    assert n_balanced(LINE[:held], 0.5) == expected
+@pytest.mark.parametrize(("pinned", "expected"), [(0, 6), (1, 3), (2, 1)])
+def test_free_directions_of_holders(pinned: int, expected: int) -> None:
+    assert n_balanced(LINE[:pinned], 0.5) == expected
 
 
 def test_three_corners_leave_nothing_free() -> None:
-    held = np.concatenate((LINE, [[0.25, 0.5, 1.0]]))
-    assert n_balanced(held, 0.5) == 0
+    pinned = np.concatenate((LINE, [[0.25, 0.5, 1.0]]))
+    assert n_balanced(pinned, 0.5) == 0
 
 
 def modes(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -20,7 +20,7 @@ FRAMES = 7
 
 
 def fitted(substeps: int) -> tuple[Shooting, BaseFit]:
-    """A cloth that swings about its held corners."""
+    """A cloth that swings about its pinned corners."""
     cloth = grid_cloth(GRID, (0.3, 0.3), 0.15, (0, 30))
     i, j = torch.meshgrid(torch.arange(6), torch.arange(6), indexing="ij")
     x = (
@@ -34,9 +34,9 @@ def fitted(substeps: int) -> tuple[Shooting, BaseFit]:
     simulator = ImplicitSimulator(cloth, 0.04 / substeps, BDF2(), NewtonSettings(1e-8))
     horizontal = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     gravity = np.array([0.0, 9.81, 0.0])
-    anchors = positions[:, cloth.held.numpy()]
+    boundary = positions[:, cloth.pinned.numpy()]
     shooting = Shooting(
-        simulator, substeps, gravity, horizontal, GRID, anchors, tracked, ShootingSettings(modes=2)
+        simulator, substeps, gravity, horizontal, GRID, boundary, tracked, ShootingSettings(modes=2)
     )
     stiffness = np.array([400.0, 1e-2, 1e-4])
     state = State.start(x, torch.zeros_like(x), simulator.time_step, simulator.n_past)

@@ -45,17 +45,17 @@ def mechanics() -> Mechanics:
     i, j = torch.meshgrid(torch.arange(GRID[0]), torch.arange(GRID[1]), indexing="ij")
     depth = 1 + 0.6 * j * 0.05 + 0.01 * torch.sin(1.1 * i)
     start = torch.stack((0.94 * i * 0.05, 0.8 * j * 0.05, depth), -1).reshape(1, -1, 3).double()
-    anchors = start[:, cloth.held].expand(FRAMES, -1, -1)
+    boundary = start[:, cloth.pinned].expand(FRAMES, -1, -1)
     effect = CATALOGUE["anisotropic_stiffness"]()
     effect = effect.with_values(torch.tensor([TRUE[p.name] for p in effect.parameters], dtype=torch.float64))
-    given = setting((effect,), around, anchors)
+    given = setting((effect,), around, boundary)
     h = 1 / FPS / SUBSTEPS
     real = ImplicitSimulator(given.cloth, h, BDF2(), NewtonSettings(1e-8), given.terms)
     k = torch.from_numpy(STIFFNESS)[:, None]
     state = State.start(start, torch.zeros_like(start), h, real.n_past)
     with torch.no_grad():
         motion = rollout(
-            real, state, grid_material(k[0], k[1], k[2]), given.forces[None], given.anchors[None], SUBSTEPS
+            real, state, grid_material(k[0], k[1], k[2]), given.forces[None], given.boundary[None], SUBSTEPS
         )
     positions = motion.positions[0].numpy()
     n = 3 * positions.shape[1]
@@ -64,7 +64,7 @@ def mechanics() -> Mechanics:
     model = ImplicitSimulator(cloth, h, BDF2(), NewtonSettings(1e-3))
     settings = ShootingSettings(modes=2, likelihood_weight=1.0)
     shooting = Shooting(
-        model, SUBSTEPS, GRAVITY, HORIZONTAL, GRID, positions[:, cloth.held.numpy()], tracked, settings
+        model, SUBSTEPS, GRAVITY, HORIZONTAL, GRID, positions[:, cloth.pinned.numpy()], tracked, settings
     )
     fit = fit_base(shooting, positions[0], STIFFNESS, FRAMES, lambda what, cost: None)
     effects = [CATALOGUE[name]() for name in NAMES]
@@ -128,7 +128,7 @@ def test_passes_end_and_steps_are_as_long_as_the_settings_say(mechanics: Mechani
     def passes(**settings: float) -> BaseFit:
         changed = replace(s.settings, **settings)
         shooting = Shooting(
-            s.simulator, s.substeps, s.gravity, s.horizontal, s.grid, s.anchors, s.tracked, changed
+            s.simulator, s.substeps, s.gravity, s.horizontal, s.grid, s.boundary, s.tracked, changed
         )
         windows = [shooting.simulate(w, w.white, base) for w in fit.windows]
         return improved(shooting, windows, fit.start_stiffness, start, lambda what, cost: None, passes=2)

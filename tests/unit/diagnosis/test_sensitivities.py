@@ -51,17 +51,17 @@ UNLIMITED = TangentSettings(fastest=1e12)
 
 def simulate(effects, around: Surroundings) -> np.ndarray:
     x0 = start(around)
-    held = around.cloth.held
+    pinned = around.cloth.pinned
     times = around.frame_times()
-    anchors = x0[:, held] + 0.02 * torch.sin(20 * times)[:, None, None] * torch.tensor([0.0, 0.3, 1.0])
-    given = setting(effects, around, anchors[:, :].reshape(N_FRAMES, len(held), 3), WIND)
+    boundary = x0[:, pinned] + 0.02 * torch.sin(20 * times)[:, None, None] * torch.tensor([0.0, 0.3, 1.0])
+    given = setting(effects, around, boundary[:, :].reshape(N_FRAMES, len(pinned), 3), WIND)
     step = float(given.frame_interval)
     simulator = ImplicitSimulator(given.cloth, step, BDF2(), NewtonSettings(1e-10), given.terms)
     k = torch.from_numpy(STIFFNESS)[:, None]
     state = State.start(x0, torch.zeros_like(x0), step, simulator.n_past)
     with torch.no_grad():
         motion = rollout(
-            simulator, state, grid_material(k[0], k[1], k[2]), given.forces[None], given.anchors[None], 1
+            simulator, state, grid_material(k[0], k[1], k[2]), given.forces[None], given.boundary[None], 1
         )
     return motion.positions[0].numpy()
 
@@ -87,14 +87,14 @@ def effect_tangents(
     effect: Effect, simulator: ImplicitSimulator, motion: np.ndarray, around: Surroundings
 ) -> np.ndarray:
     """Change of the frames after the first by every number of an effect (n, F-1, N, 3)."""
-    held = around.cloth.held.numpy()
+    pinned = around.cloth.pinned.numpy()
     acceleration = (GRAVITY + WIND).numpy()
     h, n = simulator.time_step, len(effect.scales)
     rest = np.zeros((n, len(motion[0]), 3))
 
     def columns(step: StepForces) -> Columns:
-        now = Instant(step, (step.index + 1) * h, h, STIFFNESS, acceleration, step.positions[held])
-        return Columns(force_columns(effect, now, around), np.zeros((n, len(held), 3)))
+        now = Instant(step, (step.index + 1) * h, h, STIFFNESS, acceleration, step.positions[pinned])
+        return Columns(force_columns(effect, now, around), np.zeros((n, len(pinned), 3)))
 
     known = KnownMotion(simulator, motion, STIFFNESS, settings=UNLIMITED)
     tangents = known.tangents(0, N_FRAMES - 1, 1, columns, rest, rest)
@@ -128,7 +128,7 @@ def test_the_required_force_is_the_one_that_acted() -> None:
         ImplicitSimulator(around.cloth, STEP, BDF2(), NewtonSettings(1e-10)), simulate((), around), STIFFNESS
     )
     acted = (around.cloth.masses[:, None] * (GRAVITY + WIND)).numpy()
-    acted[around.cloth.held.numpy()] = 0
+    acted[around.cloth.pinned.numpy()] = 0
     for n in range(N_FRAMES - 1):
         np.testing.assert_allclose(motion.required(motion.step(n)), acted, atol=1e-8)
 
@@ -143,7 +143,7 @@ def test_columns_hold_where_an_effect_is_strong(name: str) -> None:
     numbers = 0.8 * plain_effect.scales
     effect = plain_effect.with_values(numbers)
     motion = simulate((effect,), around)
-    given = setting((effect,), around, torch.zeros(N_FRAMES, len(around.cloth.held), 3).double())
+    given = setting((effect,), around, torch.zeros(N_FRAMES, len(around.cloth.pinned), 3).double())
     step = float(given.frame_interval)
     simulator = ImplicitSimulator(given.cloth, step, BDF2(), NewtonSettings(1e-10), given.terms)
     tangents = effect_tangents(effect, simulator, motion, around)

@@ -35,9 +35,9 @@ def move(
     state = State.start(x, torch.zeros_like(x), step, simulator.n_past)
     k = torch.from_numpy(stiffness)[:, None]
     force = (cloth.masses[:, None] * torch.from_numpy(GRAVITY)).expand(frames - 1, -1, 3)
-    anchors = x[:, cloth.held].expand(frames, -1, -1)
+    boundary = x[:, cloth.pinned].expand(frames, -1, -1)
     with torch.no_grad():
-        motion = rollout(simulator, state, grid_material(k[0], k[1], k[2]), force[None], anchors[None], 1)
+        motion = rollout(simulator, state, grid_material(k[0], k[1], k[2]), force[None], boundary[None], 1)
     return motion.positions[0].numpy()
 
 
@@ -84,10 +84,10 @@ def test_another_stiffness_leaves_the_tension_and_its_column_says_so(hanging) ->
     motion = move(cloth, pulled, STIFFNESS, frames, STEP, tension)
     known = KnownMotion(simulator, motion, STIFFNESS)
     of_base = base_columns(problem, Base(STIFFNESS, np.zeros(2)))
-    held = np.zeros((5, len(cloth.held), 3))
+    pinned = np.zeros((5, len(cloth.pinned), 3))
 
     def columns(step: StepForces) -> Columns:
-        return Columns(of_base(step), held)
+        return Columns(of_base(step), pinned)
 
     rest = np.zeros((5, len(shape), 3))
     tangents = np.stack([x for x, _ in known.tangents(0, frames - 1, 1, columns, rest, rest)])

@@ -76,7 +76,7 @@ def make_scene() -> Callable[..., Scene]:
             cloth_size=(0.4, 0.4),
             gravity=torch.tensor([0.0, 9.81, 0.0], dtype=torch.float64),
             fps=50.0,
-            held_vertices=(0, 7),
+            pinned_vertices=(0, 7),
             ground_truth=truth,
         )
 

@@ -75,11 +75,11 @@ def test_harmonic_motion_converges_with_the_square_of_the_time_step() -> None:
     assert error(0.02) / error(0.01) == pytest.approx(4.0, rel=0.05)
 
 
-def test_held_vertices_do_not_count() -> None:
+def test_pinned_vertices_do_not_count() -> None:
     x = falling().clone()
     x[3, 0, 0] += 1.0
     assert measure(x).maximum > 1.0
-    assert measure(x, held_vertices=(0,)).maximum == pytest.approx(0.0, abs=1e-9)
+    assert measure(x, pinned_vertices=(0,)).maximum == pytest.approx(0.0, abs=1e-9)
 
 
 def test_external_forces_may_change_per_frame() -> None:
@@ -98,9 +98,9 @@ def test_external_forces_may_change_per_frame() -> None:
         (falling(), {"gravity": torch.zeros(3)}),
         (falling(), {"internal_forces": lambda x: x[0]}),
         (falling(), {"external_forces": torch.zeros(9, 4, 2, 3, 3)}),
-        (falling(), {"held_vertices": tuple(range(6))}),
+        (falling(), {"pinned_vertices": tuple(range(6))}),
     ],
-    ids=["frames", "time", "masses", "gravity", "internal", "external", "all held"],
+    ids=["frames", "time", "masses", "gravity", "internal", "external", "all pinned"],
 )
 def test_bad_input_is_named(positions: Tensor, changes: dict[str, object]) -> None:
     with pytest.raises(InputError, match="out-of-balance"):

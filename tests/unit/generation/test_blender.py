@@ -140,9 +140,9 @@ class TestWithoutBlender:
         np.testing.assert_allclose(pose[4, -1] - pose[4, 0], [0, 0.5 * 0.75**0.5, 0.25], atol=1e-9)
         assert pose[0, 0, 0] < pose[-1, 0, 0]
 
-    def test_held_corners_start_at_rest(self) -> None:
+    def test_pinned_corners_start_at_rest(self) -> None:
         times = np.array([0.0, 1e-3, 0.5, 1.0])
-        motion = world.held_displacement(TINY, times)
+        motion = world.pinned_displacement(TINY, times)
         assert motion.shape == (4, 2, 3)
         assert not motion[0].any()
         assert np.abs(motion[1]).max() < 1e-5
@@ -224,7 +224,7 @@ class TestWithBlender:
         """A sheet that nobody holds falls by g t²/2 (1 + 1/n) after n steps of semi-implicit Euler."""
         settings = replace(TINY, bend=0.0, fps=40.0)
         request = world.simulation(settings, "motion", with_effect=True)
-        request["held"], request["displacement"] = [], np.zeros((5, 0, 3)).tolist()
+        request["pinned"], request["displacement"] = [], np.zeros((5, 0, 3)).tolist()
         process.run({"threads": 1, "simulations": [request]}, tmp_path)
         motion = np.load(tmp_path / "motion.npy")
         np.testing.assert_array_equal(motion[0], np.asarray(request["pose"], np.float32))
@@ -246,10 +246,10 @@ class TestWithBlender:
         assert moved[0] > 1e-3
         assert moved[1] < 1e-5
 
-    def test_held_corners_follow_their_motion(self, tmp_path: Path) -> None:
+    def test_pinned_corners_follow_their_motion(self, tmp_path: Path) -> None:
         motion = _simulated(TINY, tmp_path)
         moved = motion[:, [0, -1], 0] - motion[0, [0, -1], 0]
-        expected = world.held_displacement(TINY, np.arange(5) / TINY.fps)
+        expected = world.pinned_displacement(TINY, np.arange(5) / TINY.fps)
         np.testing.assert_allclose(moved, expected, atol=1e-6)
 
     @pytest.mark.parametrize(
@@ -289,7 +289,7 @@ class TestWithBlender:
         label = blender_scene(settings, tmp_path / "scene")
         scene = load_native(tmp_path / "scene", crop_margin=None)
         assert scene.n_frames == 5
-        assert scene.held_vertices == (0, 56)
+        assert scene.pinned_vertices == (0, 56)
         assert scene.ground_truth is not None
         assert scene.ground_truth.vertices is not None
         vertices = scene.ground_truth.vertices

@@ -13,7 +13,7 @@ from toile.errors import InputError
 from toile.generation.demo import DEMO
 from toile.generation.discretization import deviation
 from toile.generation.generator import generate
-from toile.generation.motion import HeldMotion, Swing
+from toile.generation.motion import PinnedMotion, Swing
 from toile.generation.settings import GeneratorSettings
 from toile.generation.truth import TRUTH_FILE, read_truth, write
 from toile.geometry.camera import Camera
@@ -89,17 +89,17 @@ def test_starts_at_rest_and_swings_visibly(tiny: Generated, tiny_settings: Gener
     assert float(moved.mean((1, 2)).max()) > 0.05 * width
     out_of_plane = (vertices(scene) - vertices(scene)[0])[..., 2].abs()
     assert float(out_of_plane.max()) > 0.1 * width
-    held = [(k // 8, k % 8) for k in scene.held_vertices]
-    assert all(float(moved[:, i, j].max()) == 0 for i, j in held)
+    pinned = [(k // 8, k % 8) for k in scene.pinned_vertices]
+    assert all(float(moved[:, i, j].max()) == 0 for i, j in pinned)
 
 
-def test_held_vertices_follow_their_motion(tiny_settings: GeneratorSettings, tiny_texture: Tensor) -> None:
+def test_pinned_vertices_follow_their_motion(tiny_settings: GeneratorSettings, tiny_texture: Tensor) -> None:
     motion = Swing(amplitude=(0.02, 0.0, 0.05), period=0.4)
-    scene, truth = generate(replace(tiny_settings, held_motion=motion, n_frames=4), tiny_texture)
+    scene, truth = generate(replace(tiny_settings, pinned_motion=motion, n_frames=4), tiny_texture)
     times = torch.arange(4, dtype=torch.float64) / 25
     expected = vertices(scene)[0, 0, 0] + motion.displacement(times)
     torch.testing.assert_close(vertices(scene)[:, 0, 0], expected, atol=1e-12, rtol=0)
-    assert truth["held_motion"] == {"kind": "Swing", "amplitude": [0.02, 0.0, 0.05], "period": 0.4}
+    assert truth["pinned_motion"] == {"kind": "Swing", "amplitude": [0.02, 0.0, 0.05], "period": 0.4}
 
 
 def test_the_fit_grid_follows_the_demo() -> None:
@@ -116,7 +116,7 @@ def test_round_trip(tiny: Generated, tmp_path: Path) -> None:
     read = load_native(folder, crop_margin=None)
     for name in ("frames", "masks", "texture", "texture_coordinates", "template", "gravity"):
         assert torch.equal(getattr(read, name), getattr(scene, name)), name
-    for name in ("name", "camera", "cloth_size", "fps", "held_vertices", "crop", "original_size"):
+    for name in ("name", "camera", "cloth_size", "fps", "pinned_vertices", "crop", "original_size"):
         assert getattr(read, name) == getattr(scene, name), name
     assert torch.equal(vertices(read), vertices(scene))
     assert read_truth(folder) == truth
@@ -172,7 +172,7 @@ def test_from_a_real_template(tiny_settings: GeneratorSettings, tiny: Generated)
         texture_coordinates=scene.texture_coordinates,
         cloth_size=(0.45, 0.45),
         camera=Camera(240.0, 240.0, 150.0, 150.0, 300, 400),
-        held_vertices=scene.held_vertices,
+        pinned_vertices=scene.pinned_vertices,
     )
     settings = replace(tiny_settings, n_frames=3, crop_margin=6, image_scale=0.5)
     made, truth = generate(settings, template=template)
@@ -181,7 +181,7 @@ def test_from_a_real_template(tiny_settings: GeneratorSettings, tiny: Generated)
     assert made.frames.shape[1] < 150
     assert made.crop[1] > 0
     assert made.cloth_size[0] == pytest.approx(0.5, rel=0.02)
-    # It settles close to where the template is, and its held vertices stay exactly there.
+    # It settles close to where the template is, and its pinned vertices stay exactly there.
     assert float((made.template - template.positions).norm(dim=-1).mean()) < 0.01
     assert torch.equal(made.template[0, 0], template.positions[0, 0])
     assert [f for f in check_scene(made) if f.severity is Severity.ERROR] == []
@@ -228,7 +228,7 @@ def test_needs_a_texture_and_a_matching_grid(tiny_settings: GeneratorSettings, t
         texture_coordinates=scene.texture_coordinates,
         cloth_size=scene.cloth_size,
         camera=scene.camera,
-        held_vertices=scene.held_vertices,
+        pinned_vertices=scene.pinned_vertices,
     )
     with pytest.raises(InputError, match="template"):
         generate(replace(tiny_settings, grid=(8, 9)), template=template)
@@ -239,4 +239,4 @@ def test_settings_are_plain_values(tiny_settings: GeneratorSettings) -> None:
     for f in fields(tiny_settings):
         value = getattr(tiny_settings, f.name)
         items = value if isinstance(value, tuple) else (value,)
-        assert all(item is None or isinstance(item, (int, float, str, HeldMotion)) for item in items), f.name
+        assert all(item is None or isinstance(item, (int, float, str, PinnedMotion)) for item in items), f.name

@@ -16,7 +16,7 @@ from toile.physics.simulator import SimulationError
 
 def sheet(**changes: object) -> torch.Tensor:
     options: dict[str, object] = {
-        "held_distance": 0.8,
+        "pinned_distance": 0.8,
         "distance": 1.5,
         "yaw": 0.0,
         "gravity": (0.0, 9.81, 0.0),
@@ -56,7 +56,7 @@ def test_sheet_hangs_along_tilted_gravity_and_turns_about_it() -> None:
     assert math.acos(cosine) == pytest.approx(0.6, abs=1e-9)
 
 
-@pytest.mark.parametrize("changes", [{"held_distance": 1.0}, {"gravity": (1.0, 0.0, 0.0)}])
+@pytest.mark.parametrize("changes", [{"pinned_distance": 1.0}, {"gravity": (1.0, 0.0, 0.0)}])
 def test_bad_arguments_are_refused(changes: dict[str, object]) -> None:
     with pytest.raises(InputError):
         sheet(**changes)
@@ -70,7 +70,7 @@ def test_settled_sheet_is_at_rest(tiny_settings: GeneratorSettings) -> None:
     acceleration = torch.tensor(tiny_settings.gravity, dtype=torch.float64)
     motion = simulate(
         settled,
-        held_motion=Still(),
+        pinned_motion=Still(),
         acceleration=acceleration,
         n_frames=5,
         fps=25.0,
@@ -84,7 +84,7 @@ def test_settled_sheet_is_at_rest(tiny_settings: GeneratorSettings) -> None:
 def test_settling_gives_up_with_a_message(tiny_settings: GeneratorSettings) -> None:
     start = starting_point(tiny_settings, None)
     material = tiny_settings.material(start.cloth_size)
-    coarse = Sheet.of(start.pose, start.cloth_size, 0.15, start.held, material)
+    coarse = Sheet.of(start.pose, start.cloth_size, 0.15, start.pinned, material)
     gravity = torch.tensor(tiny_settings.gravity, dtype=torch.float64)
     with pytest.raises(SimulationError, match="no equilibrium after 2 steps"):
         settle(coarse, gravity, tiny_settings.newton, max_steps=2)

@@ -3,11 +3,11 @@ from __future__ import annotations
 import pytest
 import torch
 
-from toile.generation.motion import HeldMotion, Shake, Still, Swing
+from toile.generation.motion import PinnedMotion, Shake, Still, Swing
 
 
 @pytest.mark.parametrize("motion", [Still(), Swing(), Shake()])
-def test_starts_at_rest_and_is_smooth(motion: HeldMotion) -> None:
+def test_starts_at_rest_and_is_smooth(motion: PinnedMotion) -> None:
     step = 1e-4
     times = step * torch.arange(10001, dtype=torch.float64)
     d = motion.displacement(times)

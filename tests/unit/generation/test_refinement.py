@@ -104,10 +104,10 @@ def test_refine_keeps_old_vertices_and_reproduces_cubics() -> None:
 
 
 def test_refined_vertices_are_the_same_points() -> None:
-    held = (0, 5, 15 * 12, 15 * 12 + 11)
+    pinned = (0, 5, 15 * 12, 15 * 12 + 11)
     fine = refine(plane(GRID), 2).reshape(-1, 3)
     torch.testing.assert_close(
-        fine[list(refined_vertices(held, GRID, 2))], plane(GRID).reshape(-1, 3)[list(held)]
+        fine[list(refined_vertices(pinned, GRID, 2))], plane(GRID).reshape(-1, 3)[list(pinned)]
     )
 
 

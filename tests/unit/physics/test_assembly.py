@@ -26,14 +26,14 @@ def positions(kind, seed=0, grid=GRID):
     return x + amount * STEP * torch.randn(x.shape, generator=generator, dtype=torch.float64)
 
 
-def setting(shuffled, weighted, held, grid=GRID):
+def setting(shuffled, weighted, pinned, grid=GRID):
     """Assembly of one cloth, with the energies as a function of positions."""
-    cloth = grid_cloth(grid, (STEP * (grid[0] - 1), STEP * (grid[1] - 1)), 0.2, held)
+    cloth = grid_cloth(grid, (STEP * (grid[0] - 1), STEP * (grid[1] - 1)), 0.2, pinned)
     rng = np.random.default_rng(5)
     n = cloth.n_vertices
     order = torch.from_numpy(rng.permutation(n)) if shuffled else torch.arange(n)
     energies = InternalEnergy([replace(term, stencil=order[term.stencil]) for term in cloth.energies])
-    assembly = Assembly(n, energies, order[cloth.held].numpy())
+    assembly = Assembly(n, energies, order[cloth.pinned].numpy())
     elements = energies.elements()
     if weighted:
         elements = elements.scaled(
@@ -59,7 +59,7 @@ def dense(assembly, blocks):
 
 @pytest.mark.parametrize("kind", ["crumpled", "nearly flat", "flat"])
 @pytest.mark.parametrize(
-    ("shuffled", "weighted", "held"),
+    ("shuffled", "weighted", "pinned"),
     [
         (False, False, (0, 4)),
         (True, False, (0, 4)),
@@ -68,8 +68,8 @@ def dense(assembly, blocks):
         (False, False, tuple(range(5))),
     ],
 )
-def test_kernels_compute_the_pure_energies(kind, shuffled, weighted, held):
-    assembly, terms, order = setting(shuffled, weighted, held)
+def test_kernels_compute_the_pure_energies(kind, shuffled, weighted, pinned):
+    assembly, terms, order = setting(shuffled, weighted, pinned)
     x = torch.empty(30, 3, dtype=torch.float64)
     x[order] = positions(kind)
     np.testing.assert_allclose(assembly.energies(x.numpy()), terms(x).numpy(), rtol=1e-10, atol=1e-24)
@@ -84,12 +84,12 @@ def test_kernels_compute_the_pure_energies(kind, shuffled, weighted, held):
     coupling = assembly.coupling(blocks)
     np.testing.assert_array_equal(gradients, assembly.gradients(x.numpy()))
     free = np.ones(30, bool)
-    free[assembly.held] = False
+    free[assembly.pinned] = False
     dofs = np.repeat(free, 3)
     # worst seen 9e-16 of the largest entry
     tolerance = 1e-12 * np.abs(full).max()
     np.testing.assert_allclose(dense(assembly, blocks), full, rtol=0, atol=tolerance)
-    rows = (3 * assembly.held[:, None] + np.arange(3)).reshape(-1)
+    rows = (3 * assembly.pinned[:, None] + np.arange(3)).reshape(-1)
     np.testing.assert_allclose(coupling[:, dofs], full[np.ix_(rows, dofs)], rtol=0, atol=tolerance)
     assert not coupling[:, ~dofs].any()
 

@@ -61,7 +61,7 @@ def test_grid_stencils_of_3x4_by_hand():
 def test_bad_sizes_are_told():
     with pytest.raises(ValueError, match=r"at least 2×2 vertices, got 1×5"):
         grid_stencils(1, 5)
-    with pytest.raises(ValueError, match=r"held: expected vertex indices in \[0, 6\), got \[6\]"):
+    with pytest.raises(ValueError, match=r"pinned: expected vertex indices in \[0, 6\), got \[6\]"):
         grid_cloth((2, 3), (1.0, 1.0), 0.2, (6,))
     with pytest.raises(ValueError, match=r"edges: expected shape \(n, 2\), got \(1, 3\)"):
         Stencils(3, torch.zeros(1, 3).long(), torch.zeros(0, 3).long(), torch.zeros(0, 3).long())
@@ -69,7 +69,7 @@ def test_bad_sizes_are_told():
         Stencils(3, torch.zeros(0, 2).long(), torch.tensor([[0, 1, 7]]), torch.zeros(0, 3).long())
     cloth = grid_cloth((2, 3), (1.0, 1.0), 0.2, ())
     with pytest.raises(ValueError, match=r"masses: expected shape \(6,\), got \(5,\)"):
-        Cloth(cloth.topology, cloth.energies, torch.ones(5), cloth.held)
+        Cloth(cloth.topology, cloth.energies, torch.ones(5), cloth.pinned)
 
 
 def test_network_units_are_those_of_newtons_law():

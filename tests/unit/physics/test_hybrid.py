@@ -44,8 +44,8 @@ class Near(Simulator):
         self.exact = ImplicitSimulator(CLOTH, STEP, integrator or BDF2(), NewtonSettings(tolerance=1e-9))
         self.time_step, self.n_past = STEP, self.exact.n_past
 
-    def step(self, state, material, forces, anchors, guess=None, *, linearize=False):
-        found = self.exact.step(state, material, forces, anchors)
+    def step(self, state, material, forces, boundary, guess=None, *, linearize=False):
+        found = self.exact.step(state, material, forces, boundary)
         positions = found.state.positions + self.share * (state.positions - found.state.positions)
         after = State(positions, found.state.velocities, found.state.past, found.state.steps)
         return StepResult(after, found.status, found.iterations, found.residual)
@@ -60,13 +60,13 @@ def scene(simulator):
     x = torch.stack((j, i, 1 + 0.01 * torch.sin(20 * j + 9 * i)), -1).reshape(1, -1, 3)
     state = State.start(x, torch.zeros_like(x), STEP, simulator.n_past)
     swing = torch.tensor([1.0, 9.81, 3.0]).double() * CLOTH.masses[:, None]
-    anchors = x[:, None, CLOTH.held].repeat(1, FRAMES, 1, 1)
-    return state, MATERIAL, swing.expand(1, FRAMES - 1, -1, 3).contiguous(), anchors
+    boundary = x[:, None, CLOTH.pinned].repeat(1, FRAMES, 1, 1)
+    return state, MATERIAL, swing.expand(1, FRAMES - 1, -1, 3).contiguous(), boundary
 
 
 def step(simulator, **more):
-    state, material, forces, anchors = scene(simulator)
-    return simulator.step(state, material, forces[:, 0], anchors[:, 1], **more)
+    state, material, forces, boundary = scene(simulator)
+    return simulator.step(state, material, forces[:, 0], boundary[:, 1], **more)
 
 
 def test_one_correction_squares_the_predictors_error(monkeypatch):
@@ -87,8 +87,8 @@ def test_every_correction_helps():
 
 def test_without_corrections_the_prediction_is_the_step():
     simulator = hybrid(0.1, corrections=0)
-    state, material, forces, anchors = scene(simulator)
-    predicted = simulator.predictor.step(state, material, forces[:, 0], anchors[:, 1])
+    state, material, forces, boundary = scene(simulator)
+    predicted = simulator.predictor.step(state, material, forces[:, 0], boundary[:, 1])
     found = step(simulator)
     assert torch.equal(found.state.positions, predicted.state.positions)
     assert found.iterations == (0,)
@@ -124,10 +124,10 @@ def test_a_guess_is_ignored():
 
 def test_forces_that_are_not_finite_are_told():
     simulator = hybrid(0.1)
-    state, material, forces, anchors = scene(simulator)
+    state, material, forces, boundary = scene(simulator)
     forces = forces.clone()
     forces[0, 0, 20] = torch.nan
-    assert simulator.step(state, material, forces[:, 0], anchors[:, 1]).status == (StepStatus.NOT_FINITE,)
+    assert simulator.step(state, material, forces[:, 0], boundary[:, 1]).status == (StepStatus.NOT_FINITE,)
 
 
 @pytest.mark.parametrize("fresh", [True, False])

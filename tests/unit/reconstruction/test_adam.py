@@ -34,7 +34,7 @@ def test_frames_are_added_one_by_one(adam: MakeAdam) -> None:
 
 
 def test_a_few_cycles_lower_the_loss(problem: MakeProblem, adam: MakeAdam) -> None:
-    # The learning rates of the wind and the held vertices oscillate at first on a scene that small.
+    # The learning rates of the wind and the pinned vertices oscillate at first on a scene that small.
     p, recipe = problem(), adam(first_frames=None)
     recipe.start(p)
     losses = [total(recipe.cycle(p, k).losses) for k in range(30)]
@@ -55,13 +55,13 @@ def test_first_step_has_the_length_of_the_learning_rate(problem: MakeProblem, ad
     units = p.parameters.units
     force = 1e-3 * units.length / units.time**2
     free = torch.ones(64, dtype=torch.bool)
-    free[p.cloth.held] = False
+    free[p.cloth.pinned] = False
     assert change["turbulence"][:2, free].median().item() == pytest.approx(force, rel=1e-2)
     assert change["turbulence"][2:].max() == 0, "frames that are not covered yet"
     assert change["wind"].max().item() == pytest.approx(0.05 * 9.81, rel=1e-2)
-    # Held vertices: a velocity, so the displacement grows from frame to frame.
-    assert change["anchor_motion"][0].max() == 0
-    assert change["anchor_motion"][1].median().item() == pytest.approx(1e-3 * units.length, rel=1e-2)
+    # Pinned vertices: a velocity, so the displacement grows from frame to frame.
+    assert change["boundary_motion"][0].max() == 0
+    assert change["boundary_motion"][1].median().item() == pytest.approx(1e-3 * units.length, rel=1e-2)
     assert change["texture_offset"].max().item() == pytest.approx(2e-4, rel=1e-2)
 
 
@@ -128,7 +128,7 @@ def test_a_failing_update_is_halved(
     report = recipe.cycle(p, 1)
     assert report.notes == ("the last update was halved: too stiff",) * 2
     assert p.parameters.stretching.item() == pytest.approx(3000 + (before["stretching"].item() - 3000) / 4)
-    torch.testing.assert_close(p.parameters.anchor_motion.detach(), before["anchor_motion"] / 4)
+    torch.testing.assert_close(p.parameters.boundary_motion.detach(), before["boundary_motion"] / 4)
 
 
 def test_a_failure_from_the_start_is_raised(
@@ -160,9 +160,9 @@ def test_bad_settings(changes: dict[str, Any], message: str, adam: MakeAdam) -> 
         adam(**changes)
 
 
-def test_no_held_vertices(problem: MakeProblem, adam: MakeAdam) -> None:
+def test_no_pinned_vertices(problem: MakeProblem, adam: MakeAdam) -> None:
     p = problem()
-    p.parameters.anchor_motion = torch.nn.Parameter(p.parameters.anchor_motion[:, :0].detach().clone())
+    p.parameters.boundary_motion = torch.nn.Parameter(p.parameters.boundary_motion[:, :0].detach().clone())
     recipe = adam(losses={"image": ImageLoss(1.0)})
     recipe.start(p)
-    assert "anchor_motion" not in recipe._variables
+    assert "boundary_motion" not in recipe._variables

@@ -48,7 +48,7 @@ def problem(swaying_scene: Scene) -> Callable[..., Reconstruction]:
         parameters = ClothParameters(
             swaying_scene.n_frames,
             cloth.n_vertices,
-            len(cloth.held),
+            len(cloth.pinned),
             scene_units(swaying_scene, 0.15),
             stretching=STIFFNESS[0],
             shearing=STIFFNESS[1],

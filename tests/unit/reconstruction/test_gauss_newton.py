@@ -100,7 +100,7 @@ def test_unknowns_tangent_and_adjoint_agree(problem: Reconstruction, first: int)
     d = {name: rng.normal(size=value.shape) for name, value in z.items()}
     change = unknowns.tangent(z, d)
     gradient = unknowns.tangent(z, {name: rng.normal(size=value.shape) for name, value in z.items()})
-    names = ("forces", "stiffness", "anchors")
+    names = ("forces", "stiffness", "boundary")
     inner = sum(float((getattr(change, n) * getattr(gradient, n)).sum()) for n in names)
     back = unknowns.adjoint(z, gradient)
     assert conjugate_gradients.dot(d, back) == pytest.approx(inner, rel=1e-10)

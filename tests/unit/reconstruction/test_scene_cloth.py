@@ -28,4 +28,4 @@ def test_mass_and_units(tiny_scene: Scene) -> None:
     torch.testing.assert_close(units.mass, float(cloth.masses.max()))
     torch.testing.assert_close(units.length, (0.1 * 0.1) ** 0.5)
     assert units.time == 0.02, "the published fit's, whatever the camera did"
-    assert cloth.held.tolist() == list(tiny_scene.held_vertices)
+    assert cloth.pinned.tolist() == list(tiny_scene.pinned_vertices)

@@ -62,7 +62,7 @@ def make(swaying_scene: Scene) -> Make:
         parameters = ClothParameters(
             n_frames,
             cloth.n_vertices,
-            len(cloth.held),
+            len(cloth.pinned),
             scene_units(scene, 0.15),
             stretching=3000.0,
             shearing=10.0,
@@ -88,10 +88,10 @@ def uneven(make: Make) -> Reconstruction:
 
 
 def move_hands(problem: Reconstruction, times: torch.Tensor) -> None:
-    """Held vertices at constant speed, so that they are between frames where they are in the fine clip."""
+    """Pinned vertices at constant speed, so that they are between frames where they are in the fine clip."""
     speed = torch.tensor([0.2, -0.1, 0.3], dtype=torch.float64)
     with torch.no_grad():
-        problem.parameters.anchor_motion.copy_((times[:, None, None] * speed).expand(-1, 2, -1))
+        problem.parameters.boundary_motion.copy_((times[:, None, None] * speed).expand(-1, 2, -1))
 
 
 @torch.no_grad()

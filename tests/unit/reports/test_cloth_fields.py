@@ -84,9 +84,9 @@ def test_maps_show_mean_frame_and_rows_over_time() -> None:
     x = grid(3)
     field = error_field(x, GroundTruth(vertices=torch.from_numpy(np.zeros_like(x))))
     assert field is not None
-    held = np.zeros((3, 4), dtype=bool)
-    held[0, 3] = True
-    figure = field_maps(field, Upright.of(x[0]), held)
+    pinned = np.zeros((3, 4), dtype=bool)
+    pinned[0, 3] = True
+    figure = field_maps(field, Upright.of(x[0]), pinned)
     mean, frame, rows = (np.array(figure.data[k].z) for k in range(3))
     np.testing.assert_allclose(mean, field.values.mean(0), rtol=1e-6)
     np.testing.assert_allclose(frame, field.values[1], rtol=1e-6)

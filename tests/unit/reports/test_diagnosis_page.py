@@ -46,7 +46,7 @@ from toile.scenes.scene import Scene
 
 MakeReport = Callable[..., GapReport]
 MakeArrays = Callable[..., DiagnosisArrays]
-ADVICE = "a second clip with the held corners <shaken>"
+ADVICE = "a second clip with the pinned corners <shaken>"
 AMBIGUITY = Verdict(
     AMBIGUOUS, ("air_drag", "internal_damping"), "mechanics", 0.96, "Cannot tell them apart.", ADVICE
 )
@@ -100,7 +100,7 @@ def test_names_both_effects_of_a_pair(report: GapReport) -> None:
 def test_ambiguity_names_the_candidates_and_what_to_record(report: GapReport) -> None:
     text = words(header(answered(report, AMBIGUITY)))
     assert "Air drag or internal damping: this clip cannot tell." in text
-    assert "Record next A second clip with the held corners <shaken>." in text
+    assert "Record next A second clip with the pinned corners <shaken>." in text
     assert "air drag 93 %, internal damping 3 %" in text
     everything = dataclasses.replace(AMBIGUITY, candidates=tuple(e.name for e in report.effects))
     assert answer(answered(report, everything)).endswith(

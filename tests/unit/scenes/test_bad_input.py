@@ -157,9 +157,9 @@ CASES: dict[str, tuple[Breaker, tuple[str, ...]]] = {
     "units": (change(units="millimetres"), ("'units'", "metres", "millimetres")),
     "gravity of two": (change(gravity=[0, 9.81]), ("'gravity'", "m/s²", "[0, 9.81]")),
     "cloth size negative": (change(cloth_size_m=[0.5, -0.4]), ("'cloth_size_m'", "positive", "-0.4")),
-    "held out of range": (change(held_vertices=[0, 30]), ("Held vertex", "0 to 29", "30")),
-    "held negative": (change(held_vertices=[-1]), ("Held vertex", "0 to 29", "-1")),
-    "held twice": (change(held_vertices=[0, 25, 0]), ("listed twice", "distinct", "0 more than once")),
+    "held out of range": (change(held_vertices=[0, 30]), ("Pinned vertex", "0 to 29", "30")),
+    "pinned negative": (change(pinned_vertices=[-1]), ("Pinned vertex", "0 to 29", "-1")),
+    "held twice": (change(pinned_vertices=[0, 25, 0]), ("listed twice", "distinct", "0 more than once")),
     "focal zero": (set_entry(0, 0, 0.0), ("Focal length", "fx > 0", "fx 0")),
     "focal negative": (set_entry(1, 1, -105.0), ("Focal length", "fy > 0", "fy -105")),
     "NaN in K": (set_entry(0, 2, float("nan")), ("'K'", "finite", "nan")),
@@ -273,14 +273,14 @@ def test_doctor_finds_it_as_well(tiny_folder: Path, case: str) -> None:
 
 
 def test_doctor_collects_many_at_once_with_errors_first(tiny_folder: Path) -> None:
-    change(gravity=[0.0, 1.62, 0.0], held_vertices=[99], fps=-1)(tiny_folder)
+    change(gravity=[0.0, 1.62, 0.0], pinned_vertices=[99], fps=-1)(tiny_folder)
     remove("rgbs/rgb_001.png")(tiny_folder)
     truncate("rgbs/rgb_003.png")(tiny_folder)
     image("masks/mask_002.png", 80, 120)(tiny_folder)
     edit_template(set_nan)(tiny_folder)
     findings = diagnose_folder(tiny_folder)
     text = "\n".join(map(str, findings))
-    for part in ("Held vertex", "Frame rate", "rgb_001.png", "rgb_003.png", "mask_002.png", "NaN"):
+    for part in ("Pinned vertex", "Frame rate", "rgb_001.png", "rgb_003.png", "mask_002.png", "NaN"):
         assert part in text
     ranks = [("error", "warning", "info").index(f.severity) for f in findings]
     assert ranks == sorted(ranks)
@@ -324,18 +324,18 @@ def test_gravity_beside_the_hanging_direction(tiny_scene: Scene) -> None:
 
 
 def test_held_at_the_lower_side_hints_at_the_vertex_order(tiny_scene: Scene) -> None:
-    assert "reversed along axis 1" in warnings_of(replace(tiny_scene, held_vertices=(4, 29)))
+    assert "reversed along axis 1" in warnings_of(replace(tiny_scene, pinned_vertices=(4, 29)))
     assert "vertex order" not in warnings_of(tiny_scene)
 
 
-def test_transposed_square_grid_is_given_away_by_the_held_corners(tiny_scene: Scene) -> None:
+def test_transposed_square_grid_is_given_away_by_the_pinned_corners(tiny_scene: Scene) -> None:
     square = tiny_scene.template[:5]
     scene = replace(
         tiny_scene,
         template=square.transpose(0, 1),
         texture_coordinates=tiny_scene.texture_coordinates[:5].transpose(0, 1),
         cloth_size=(0.4, 0.4),
-        held_vertices=(0, 20),
+        pinned_vertices=(0, 20),
         ground_truth=None,
     )
     assert "transposed" in warnings_of(scene)

@@ -82,7 +82,7 @@ def test_published_layout_is_converted(data: Path) -> None:
     h, w = scene.frames.shape[1:3]
     assert torch.equal(scene.texture[top : top + h, left : left + w], scene.frames[0])
     assert scene.gravity.tolist() == [0.0, 9.81, 0.0]
-    assert (scene.fps, scene.held_vertices, scene.cloth_size) == (50.0, (0, 992), (0.5, 0.5))
+    assert (scene.fps, scene.pinned_vertices, scene.cloth_size) == (50.0, (0, 992), (0.5, 0.5))
     assert scene.ground_truth is not None
     assert scene.ground_truth.point_clouds is not None
     assert torch.allclose(scene.ground_truth.point_clouds[0].double(), scene.template.reshape(-1, 3))
@@ -95,10 +95,10 @@ def test_arguments_reach_the_published_layout(data: Path) -> None:
         n_frames=2,
         fps=30,
         gravity=(0, 9.8, 0.3),
-        held_vertices=(0,),
+        pinned_vertices=(0,),
         texture_coordinates=projected,
     )
-    assert (scene.n_frames, scene.fps, scene.held_vertices) == (2, 30.0, (0,))
+    assert (scene.n_frames, scene.fps, scene.pinned_vertices) == (2, 30.0, (0,))
     assert scene.gravity.tolist() == [0.0, 9.8, 0.3]
 
 

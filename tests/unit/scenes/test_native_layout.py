@@ -135,18 +135,18 @@ def test_projected_coordinates_make_frame_0_the_texture(tiny_scene: Scene, tmp_p
 
 
 def test_arguments_replace_what_the_file_says(tiny_folder: Path) -> None:
-    scene = load_native(tiny_folder, fps=50.0, gravity=(0.0, 9.8, 0.0), held_vertices=())
+    scene = load_native(tiny_folder, fps=50.0, gravity=(0.0, 9.8, 0.0), pinned_vertices=())
     assert scene.fps == 50.0
     assert scene.gravity.tolist() == [0.0, 9.8, 0.0]
-    assert scene.held_vertices == ()
+    assert scene.pinned_vertices == ()
 
 
-@pytest.mark.parametrize("held", [(), (2,), (0, 5, 10, 15, 20, 25)])
-def test_any_number_of_held_vertices_is_fine(
-    tiny_scene: Scene, tmp_path: Path, held: tuple[int, ...]
+@pytest.mark.parametrize("pinned", [(), (2,), (0, 5, 10, 15, 20, 25)])
+def test_any_number_of_pinned_vertices_is_fine(
+    tiny_scene: Scene, tmp_path: Path, pinned: tuple[int, ...]
 ) -> None:
-    folder = write_native(replace(tiny_scene, held_vertices=held), tmp_path / "held")
-    assert load_native(folder).held_vertices == held
+    folder = write_native(replace(tiny_scene, pinned_vertices=pinned), tmp_path / "pinned")
+    assert load_native(folder).pinned_vertices == pinned
 
 
 def test_scene_without_ground_truth(tiny_scene: Scene, tmp_path: Path) -> None:

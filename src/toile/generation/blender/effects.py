@@ -67,7 +67,7 @@ _ALL = (
     BlenderEffect(
         "anisotropic_stiffness",
         "mechanics",
-        "Twice as many threads per metre across the held edge as along it: springs `ratio` (a whole number) "
+        "Twice as many threads per metre across the pinned edge as along it: springs `ratio` (a whole number) "
         "times shorter along axis 1, so the cloth is ratio² times stiffer along axis 0 than along axis 1.",
         {"ratio": 2.0},
     ),
@@ -82,7 +82,7 @@ _ALL = (
     BlenderEffect(
         "rest_curvature",
         "mechanics",
-        "A rest shape that is rolled about an axis along the held edge; `curvature` [1/m].",
+        "A rest shape that is rolled about an axis along the pinned edge; `curvature` [1/m].",
         {"curvature": 8.0},
         "curvature",
     ),
@@ -119,7 +119,7 @@ _ALL = (
     BlenderEffect(
         "anchor_slip",
         "actuation",
-        "The second held corner slides by `distance` [m] towards the first and down, from `start` on, in "
+        "The second pinned corner slides by `distance` [m] towards the first and down, from `start` on, in "
         "`duration` (fractions of the clip).",
         {"distance": 0.02, "start": 0.3, "duration": 0.2},
         "distance",

@@ -49,7 +49,7 @@ def simulate(spec: dict[str, Any], threads: int) -> NDArray[np.float32]:
         spec: with keys
 
             - ``pose``: (H', W', 3) [m]; ``rest``: the same for the rest shape
-            - ``held``: [[i, j], ...], ``displacement``: (F, n_held, 3) [m]; linear within a frame
+            - ``pinned``: [[i, j], ...], ``displacement``: (F, n_pinned, 3) [m]; linear within a frame
             - ``fps``, ``steps`` per frame, ``gravity`` [m/s²]
             - ``cloth``: attributes of Blender's cloth settings
             - ``weights``: {attribute that takes a vertex group: (H', W') weights in [0, 1]}
@@ -75,10 +75,10 @@ def simulate(spec: dict[str, Any], threads: int) -> NDArray[np.float32]:
     rest = cloth_object.shape_key_add(name="rest", from_mix=False)
     rest.data.foreach_set("co", np.asarray(spec["rest"], np.float32).ravel())
     rest.value = 0.0
-    held = [i * pose.shape[1] + j for i, j in spec["held"]]
-    for number, vertex in enumerate(held):
+    pinned = [i * pose.shape[1] + j for i, j in spec["pinned"]]
+    for number, vertex in enumerate(pinned):
         for axis in range(3):
-            key = cloth_object.shape_key_add(name=f"held {number} {axis}", from_mix=False)
+            key = cloth_object.shape_key_add(name=f"pinned {number} {axis}", from_mix=False)
             key.slider_min, key.slider_max = -10, 10
             key.data[vertex].co[axis] += 1
             _animate(key, "value", displacement[:, number, axis])
@@ -93,7 +93,7 @@ def simulate(spec: dict[str, Any], threads: int) -> NDArray[np.float32]:
     cloth.bending_model = "ANGULAR"
     cloth.rest_shape_key = rest
     pins = np.zeros(pose.shape[:2])
-    for i, j in spec["held"]:
+    for i, j in spec["pinned"]:
         pins[i, j] = 1
     cloth.pin_stiffness = 1
     for name, weights in {"vertex_group_mass": pins, **spec.get("weights", {})}.items():

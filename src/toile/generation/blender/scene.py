@@ -274,7 +274,7 @@ def _filmed(settings: BlenderSettings, truth: Array, work: Path) -> Scene:
         cloth_size=settings.cloth_size,
         gravity=torch.tensor(settings.gravity, dtype=torch.float64),
         fps=settings.fps,
-        held_vertices=(0, (settings.grid[0] - 1) * settings.grid[1]),
+        pinned_vertices=(0, (settings.grid[0] - 1) * settings.grid[1]),
         original_size=settings.image_size,
         ground_truth=GroundTruth(vertices=vertices),
     )

@@ -24,7 +24,7 @@ class BlenderSettings:
 
     Attributes:
         name: name of the scene.
-        grid: grid (H, W) of the template and the ground truth, which a fit uses; H along the held edge.
+        grid: grid (H, W) of the template and the ground truth, which a fit uses; H along the pinned edge.
         refinement: the simulated grid has refinement·(H-1)+1 by refinement·(W-1)+1 vertices.
         steps: of the solver per video frame.
         n_frames: number of frames F.
@@ -33,12 +33,12 @@ class BlenderSettings:
         image_size: (height, width) [px].
         focal_length: [px]; the principal point is the middle of the image.
         gravity: [m/s²], camera frame.
-        distance: z of the middle of the held edge at frame 0 [m].
+        distance: z of the middle of the pinned edge at frame 0 [m].
         pitch, yaw: how far frame 0 leans back and is turned about gravity [degrees].
         bend: largest slope of the bend of frame 0 [degrees].
         bend_direction: direction along which it bends, from axis 0 to axis 1 [degrees].
         bend_waves: waves of the bend over the cloth.
-        motion_amplitude: of the held corners [m], about.
+        motion_amplitude: of the pinned corners [m], about.
         corner_difference: of their motions, as a fraction of it.
         wind: constant wind along the camera's axes, known to nobody [Blender's strength].
         mass: of a vertex [kg]; only its ratio to the stiffnesses matters.

@@ -44,14 +44,14 @@ def simulation(
     factors = refinement(settings, with_effect=with_effect)
     size = tuple(f * (n - 1) + 1 for f, n in zip(factors, settings.grid, strict=True))
     fps = settings.fps * (1 + (values["error"] if effect == "frame_rate" else 0))
-    displacement = held_displacement(settings, np.arange(settings.n_frames) / fps)
+    displacement = pinned_displacement(settings, np.arange(settings.n_frames) / fps)
     if effect == "anchor_slip":
         displacement[:, 1] += slip(settings)
     request: dict[str, Any] = {
         "name": name,
         "pose": pose(settings, size).tolist(),
         "rest": rest(settings, size, values.get("curvature", 0.0)).tolist(),
-        "held": [[0, 0], [size[0] - 1, 0]],
+        "pinned": [[0, 0], [size[0] - 1, 0]],
         "displacement": displacement.tolist(),
         "fps": fps,
         "steps": settings.steps,
@@ -167,9 +167,9 @@ def pose(settings: BlenderSettings, size: tuple[int, ...]) -> Array:
         -1,
     )
     axes = _axes(settings)
-    held = 0.5 * (local[0, 0] + local[-1, 0])
+    pinned = 0.5 * (local[0, 0] + local[-1, 0])
     turn = Rotation.from_euler("xy", [settings.pitch, settings.yaw], degrees=True)
-    placed: Array = turn.apply((local - held).reshape(-1, 3)).reshape(local.shape) @ axes
+    placed: Array = turn.apply((local - pinned).reshape(-1, 3)).reshape(local.shape) @ axes
     return placed + _top(settings)
 
 
@@ -181,8 +181,8 @@ def rest(settings: BlenderSettings, size: tuple[int, ...], curvature: float = 0.
     return np.stack((u, np.sin(curvature * v) / curvature, (1 - np.cos(curvature * v)) / curvature), -1)
 
 
-def held_displacement(settings: BlenderSettings, times: Array) -> Array:
-    """Smooth random motion (T, 2, 3) [m] of the held corners at times (T,) [s]; at rest at time 0."""
+def pinned_displacement(settings: BlenderSettings, times: Array) -> Array:
+    """Smooth random motion (T, 2, 3) [m] of the pinned corners at times (T,) [s]; at rest at time 0."""
     rng = np.random.default_rng([settings.seed, 1])
     common, difference = (_sway(rng, times) for _ in range(2))
     size = settings.motion_amplitude * np.array([0.7, 0.5, 1.0])
@@ -192,7 +192,7 @@ def held_displacement(settings: BlenderSettings, times: Array) -> Array:
 
 
 def slip(settings: BlenderSettings) -> Array:
-    """Extra displacement (F, 3) [m] of the second held corner."""
+    """Extra displacement (F, 3) [m] of the second pinned corner."""
     values = settings.values
     time = np.arange(settings.n_frames) / (settings.n_frames - 1)
     x = ((time - values["start"]) / max(values["duration"], 1e-9)).clip(0, 1)
@@ -357,7 +357,7 @@ def _axes(settings: BlenderSettings) -> Array:
 
 
 def _top(settings: BlenderSettings) -> Array:
-    """Middle of the held edge at frame 0 (3,) [m]."""
+    """Middle of the pinned edge at frame 0 (3,) [m]."""
     return np.array([0.0, -0.47 * settings.cloth_size[1], settings.distance])
 
 

@@ -15,17 +15,17 @@ from toile.physics.step_terms import StepContext
 
 
 class StickSlip(RealityEffect):
-    """A held corner that slips through its grip in jumps, inwards and down."""
+    """A pinned corner that slips through its grip in jumps, inwards and down."""
 
     NAME = "anchor_slip"
     STAGE = Stage.ACTUATION
 
     def draw(self, rng: Rng) -> None:
         """Draw the corner, the direction, and the times and heights of the jumps."""
-        held = self.reference.held
-        self.corner = int(rng.integers(len(held)))
+        pinned = self.reference.pinned
+        self.corner = int(rng.integers(len(pinned)))
         flat = self.reference.motion[0].reshape(-1, 3)
-        inwards = flat.mean(0) - flat[held[self.corner]]
+        inwards = flat.mean(0) - flat[pinned[self.corner]]
         inwards = inwards / inwards.norm()
         across = torch.from_numpy(rng.standard_normal(3))
         direction = inwards + 0.3 * across / across.norm()
@@ -36,13 +36,13 @@ class StickSlip(RealityEffect):
         self.heights *= 0.02 * self.reference.width / self.heights.sum()
         self.ramp = 0.06  # s
 
-    def anchors(self, times: Tensor) -> Tensor:
+    def boundary(self, times: Tensor) -> Tensor:
         """See RealityEffect."""
         path = sum(
             float(height) * pulse(times, float(begin), math.inf, self.ramp)
             for begin, height in zip(self.times, self.heights, strict=True)
         )
-        result = torch.zeros(len(times), len(self.reference.held), 3, dtype=torch.float64)
+        result = torch.zeros(len(times), len(self.reference.pinned), 3, dtype=torch.float64)
         result[:, self.corner] = self.strength * torch.as_tensor(path)[:, None] * self.direction
         return result
 
@@ -59,7 +59,7 @@ class StickSlip(RealityEffect):
         """The quarter of the cloth around the corner."""
         W = self.reference.motion.shape[2]
         H = self.reference.motion.shape[1]
-        k = self.reference.held[self.corner]
+        k = self.reference.pinned[self.corner]
         corner = torch.tensor([k // W / (H - 1), k % W / (W - 1)], dtype=torch.float64)
         return (places - corner).norm(dim=-1) <= 0.35
 

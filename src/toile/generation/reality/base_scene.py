@@ -12,7 +12,7 @@ import torch
 from scipy.interpolate import CubicSpline
 from torch import Tensor
 
-from toile.generation.motion import HeldMotion
+from toile.generation.motion import PinnedMotion
 from toile.generation.settings import GeneratorSettings
 from toile.generation.textures import procedural_texture
 from toile.geometry.mesh import grid_faces
@@ -66,8 +66,8 @@ class RealitySettings:
 
 @final
 @dataclass(frozen=True)
-class RandomMotion(HeldMotion):
-    """Smooth motion of the held corners: harmonics that fade in, at rest at t = 0.
+class RandomMotion(PinnedMotion):
+    """Smooth motion of the pinned corners: harmonics that fade in, at rest at t = 0.
 
     Attributes:
         amplitudes: (K, 3) [m].
@@ -82,7 +82,7 @@ class RandomMotion(HeldMotion):
     fade_in: float = 0.3
 
     def displacement(self, times: Tensor) -> Tensor:
-        """See HeldMotion."""
+        """See PinnedMotion."""
         x = (times / self.fade_in).clamp(0, 1)
         fade = x * x * (3 - 2 * x)
         total = times.new_zeros(len(times), 3)
@@ -97,7 +97,7 @@ class BaseScene:
     """One scene before any effect.
 
     Attributes:
-        settings: for the starting point and the film; its held motion is the scene's.
+        settings: for the starting point and the film; its pinned motion is the scene's.
         template: real template on the fit's grid, or None for a procedural sheet.
         texture: printed on a procedural sheet, (h_t, w_t, 3); None with a template.
     """
@@ -118,7 +118,7 @@ class BaseScene:
             "initial_wind": list(s.initial_wind),
             "noise": s.noise,
             "blur": s.blur,
-            "held_motion": repr(s.held_motion),
+            "pinned_motion": repr(s.pinned_motion),
         }
 
 
@@ -163,8 +163,8 @@ def draw_base(setup: RealitySettings, rng: Rng) -> BaseScene:
         gravity=gravity,
         initial_wind=(initial[0], initial[1], initial[2]),
         wind=(wind[0], wind[1], wind[2]),
-        held_distance=float(rng.uniform(0.94, 0.98)),
-        held_motion=draw_motion(rng),
+        pinned_distance=float(rng.uniform(0.94, 0.98)),
+        pinned_motion=draw_motion(rng),
         distance=2.2 * side,
         yaw=float(rng.uniform(-20, 20)),
         # Generous: the film is cropped to the cloth and scaled afterwards.
@@ -220,14 +220,14 @@ def resampled(template: Template, grid: tuple[int, int]) -> Template:
             result = spline(np.linspace(0, old - 1, new))
         return torch.from_numpy(result).to(values.dtype)
 
-    held = tuple(
+    pinned = tuple(
         round(k // W * (grid[0] - 1) / (H - 1)) * grid[1] + round(k % W * (grid[1] - 1) / (W - 1))
-        for k in template.held_vertices
+        for k in template.pinned_vertices
     )
     return replace(
         template,
         positions=at(template.positions),
         faces=grid_faces(*grid),
         texture_coordinates=at(template.texture_coordinates).clamp(0, 1),
-        held_vertices=held,
+        pinned_vertices=pinned,
     )

@@ -41,14 +41,14 @@ class Reference:
         cloth_size: [m].
         gravity: (3,) [m/s²].
         fps: frames per second.
-        held: flattened indices on the fit's grid.
+        pinned: flattened indices on the fit's grid.
     """
 
     motion: Tensor
     cloth_size: tuple[float, float]
     gravity: Tensor
     fps: float
-    held: tuple[int, ...]
+    pinned: tuple[int, ...]
 
     @property
     def width(self) -> float:
@@ -129,8 +129,8 @@ class RealityEffect:
         """True gravity (3,) [m/s²] for the declared one."""
         return gravity
 
-    def anchors(self, times: Tensor) -> Tensor | float:
-        """Displacement of the held vertices beside their motion, (T, n_held, 3) [m], at times (T,) [s]."""
+    def boundary(self, times: Tensor) -> Tensor | float:
+        """Displacement of the pinned vertices beside their motion, (T, n_pinned, 3) [m], at times (T,) [s]."""
         return 0.0
 
     def frame_interval(self, interval: float) -> float:

@@ -113,7 +113,7 @@ class _Maker:
             pose,
             self.start.cloth_size,
             self.settings.areal_density,
-            self.start.held,
+            self.start.pinned,
             self.settings.material(self.start.cloth_size),
         )
         self.coarse_twin = self.run(self.coarse, (), setup.coarse_substeps)[:: setup.coarse_substeps]
@@ -122,7 +122,7 @@ class _Maker:
             cloth_size=self.start.cloth_size,
             gravity=torch.tensor(self.settings.gravity, dtype=torch.float64),
             fps=self.settings.fps,
-            held=self.start.held,
+            pinned=self.start.pinned,
         )
 
     def run(self, sheet: Sheet, effects: Sequence[RealityEffect], substeps: int) -> Tensor:
@@ -131,7 +131,7 @@ class _Maker:
         return simulate_reality(
             sheet,
             effects,
-            held_motion=s.held_motion,
+            pinned_motion=s.pinned_motion,
             gravity=torch.tensor(s.gravity, dtype=torch.float64),
             wind=torch.tensor(s.wind, dtype=torch.float64),
             n_frames=s.n_frames,
@@ -189,7 +189,7 @@ class _Maker:
             cloth_size=self.start.cloth_size,
             gravity=torch.tensor(settings.gravity, dtype=torch.float64),
             fps=settings.fps,
-            held_vertices=self.start.held,
+            pinned_vertices=self.start.pinned,
             original_size=(camera.height, camera.width),
         )
         return MadeScene(scene, self._label(effects, truth, twin), truth, twin)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from toile.generation.motion import HeldMotion
+from toile.generation.motion import PinnedMotion
 from toile.generation.reality.interface import RealityEffect, places_on
 from toile.generation.simulation import Sheet
 from toile.physics.elements import Elements
@@ -24,7 +24,7 @@ def simulate_reality(
     sheet: Sheet,
     effects: Sequence[RealityEffect],
     *,
-    held_motion: HeldMotion,
+    pinned_motion: PinnedMotion,
     gravity: Tensor,
     wind: Tensor,
     n_frames: int,
@@ -37,7 +37,7 @@ def simulate_reality(
     Args:
         sheet: the cloth in its initial pose.
         effects: that act; () for the clip without any.
-        held_motion: of the held vertices.
+        pinned_motion: of the pinned vertices.
         gravity: (3,) [m/s²].
         wind: (3,) [m/s²].
         n_frames: F.
@@ -66,11 +66,11 @@ def simulate_reality(
     n_steps = (n_frames - 1) * substeps
     # The hand moves by the clock of the declared frames: a wrong frame rate changes how it is seen, too.
     times = step * torch.arange(n_steps + 1, dtype=torch.float64)
-    path = held_motion.displacement(times)[:, None]
+    path = pinned_motion.displacement(times)[:, None]
     for effect in effects:
-        path = path + effect.anchors(times)
+        path = path + effect.boundary(times)
     start = sheet.pose.reshape(1, -1, 3)
-    anchors = start[:, cloth.held] + path
+    boundary = start[:, cloth.pinned] + path
     simulator = _ElementSimulator(sheet, step, newton, cloth.masses)
     state = State.start(start, torch.zeros_like(start), step, simulator.n_past)
     constant = masses[:, None] * (gravity + wind)
@@ -89,7 +89,7 @@ def simulate_reality(
                 velocities=state.velocities[0],
                 time=float(times[n]),
                 time_step=step,
-                anchors=anchors[n],
+                boundary=boundary[n],
             )
             for effect in pushing:
                 acceleration = effect.acceleration(now)
@@ -100,7 +100,7 @@ def simulate_reality(
                 elements = effect.elements(elements, now)
             if changing:
                 simulator.use(elements)
-        result = simulator.step(state, sheet.material, forces[None], anchors[None, n])
+        result = simulator.step(state, sheet.material, forces[None], boundary[None, n])
         if result.status[0] is not StepStatus.CONVERGED:
             raise SimulationError(
                 f"reality: step {n} of {n_steps} failed ({result.status[0].value}). Try more sub-steps, a "

@@ -177,7 +177,7 @@ def row(
     if effects is not None:
         result.update(zip(effects.names, effects.current().tolist(), strict=True))
     result["turbulence rms [m/s²]"] = _rms(parameters.turbulence[: report.n_frames - 1])
-    result["anchor motion rms [mm]"] = 1e3 * _rms(parameters.anchor_motion[: report.n_frames])
+    result["boundary motion rms [mm]"] = 1e3 * _rms(parameters.boundary_motion[: report.n_frames])
     result["frames"] = report.n_frames
     for name, value in report.losses.items():
         if name.endswith(_COUNTS):

@@ -11,8 +11,8 @@ from torch import Tensor
 from toile.errors import InputError
 from toile.learning.surrogate.distributions import normal, uniform
 from toile.learning.surrogate.forces import ForceSampler, acceleration_field
-from toile.learning.surrogate.held_corners import (
-    HeldCornerSampler,
+from toile.learning.surrogate.pinned_corners import (
+    PinnedCornerSampler,
     border_lengths,
     corner_indices,
     within_reach,
@@ -39,7 +39,7 @@ class PoolSettings:
         materials: stiffness.
         rest_shapes: rest lengths and resting poses.
         forces: gravity, wind, turbulence.
-        held_corners: which corners are held, and their motion.
+        pinned_corners: which corners are pinned, and their motion.
         bdf2_share: share of cloths moved by BDF2; the others by backward Euler.
         noise: standard deviation of random changes of x_n in some of the problems: a network must cope with
             states that its own errors have spoilt.
@@ -51,7 +51,7 @@ class PoolSettings:
     materials: MaterialRanges
     rest_shapes: RestShapeSampler
     forces: ForceSampler
-    held_corners: HeldCornerSampler
+    pinned_corners: PinnedCornerSampler
     bdf2_share: Fraction
     noise: NonNegative
     noise_share: Fraction
@@ -109,9 +109,9 @@ class Pool:
         continued = extrapolations(x[:, 0], x[:, 1:])
         starts = torch.stack((x[:, 0], prediction + accelerations, *continued), 1)
         rows, columns = corner_indices(self.settings.grid)
-        anchored = torch.zeros_like(prediction)
-        anchored[:, rows, columns] = self._anchors(s).double()
-        starts = torch.where(free[:, None, :, :, None] > 0, starts, anchored[:, None])
+        bounded = torch.zeros_like(prediction)
+        bounded[:, rows, columns] = self._boundary(s).double()
+        starts = torch.where(free[:, None, :, :, None] > 0, starts, bounded[:, None])
         return StepProblem(
             prediction=prediction,
             starts=starts,
@@ -124,7 +124,7 @@ class Pool:
         )
 
     def advance(self, indices: Tensor, positions: Tensor) -> None:
-        """Store predicted positions as new states, recentred, and let forces and held corners go on.
+        """Store predicted positions as new states, recentred, and let forces and pinned corners go on.
 
         Args:
             indices: (B,) int64, no index twice.
@@ -139,7 +139,7 @@ class Pool:
             "turbulence": self.settings.forces.next_turbulence(
                 s.turbulence, s.turbulence_strength, self.generator
             ),
-            "corner_velocities": self.settings.held_corners.next_velocities(
+            "corner_velocities": self.settings.pinned_corners.next_velocities(
                 s.corner_velocities, s.corner_speed, self.generator
             ),
         }
@@ -179,7 +179,7 @@ class Pool:
         shapes = settings.rest_shapes.sample(n, settings.grid, generator)
         stiffness = settings.materials.sample(n, generator)
         forces = settings.forces.sample(n, generator)
-        corner_speed = settings.held_corners.sample_speed(forces.gravity, generator)
+        corner_speed = settings.pinned_corners.sample_speed(forces.gravity, generator)
         return ClothStates(
             history=shapes.positions[:, None].repeat(1, _HISTORY, 1, 1, 1),
             age=torch.zeros(n, dtype=torch.int64, device=generator.device),
@@ -190,8 +190,8 @@ class Pool:
             steady=forces.steady,
             turbulence=forces.turbulence,
             turbulence_strength=forces.turbulence_strength,
-            held=settings.held_corners.sample_held(n, generator),
-            corner_velocities=settings.held_corners.sample_velocities(corner_speed, generator),
+            pinned=settings.pinned_corners.sample_pinned(n, generator),
+            corner_velocities=settings.pinned_corners.sample_velocities(corner_speed, generator),
             corner_speed=corner_speed,
         )
 
@@ -204,11 +204,11 @@ class Pool:
         noise = normal(tuple(history[:, 0].shape), self.generator) * amount[..., None]
         return torch.cat((history[:, :1] + noise[:, None], history[:, 1:]), 1)
 
-    def _anchors(self, states: ClothStates) -> Tensor:
-        """Positions (B, 4, 3) of the corners at the end of the step, if they are held."""
+    def _boundary(self, states: ClothStates) -> Tensor:
+        """Positions (B, 4, 3) of the corners at the end of the step, if they are pinned."""
         rows, columns = corner_indices(self.settings.grid)
         moved = states.history[:, 0, rows, columns] + states.corner_velocities
-        return within_reach(moved, states.held, border_lengths(states.rest_lengths_i, states.rest_lengths_j))
+        return within_reach(moved, states.pinned, border_lengths(states.rest_lengths_i, states.rest_lengths_j))
 
 
 def prediction_weights() -> Tensor:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
-from toile.learning.surrogate.held_corners import corner_indices
+from toile.learning.surrogate.pinned_corners import corner_indices
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class ClothStates:
         steady: (n, 3), acceleration by gravity and wind.
         turbulence: (n, k, k, 3), further acceleration on a coarse grid.
         turbulence_strength: (n,).
-        held: (n, 4) bool, corners.
+        pinned: (n, 4) bool, corners.
         corner_velocities: (n, 4, 3), per step.
         corner_speed: (n,).
     """
@@ -40,7 +40,7 @@ class ClothStates:
     steady: Tensor
     turbulence: Tensor
     turbulence_strength: Tensor
-    held: Tensor
+    pinned: Tensor
     corner_velocities: Tensor
     corner_speed: Tensor
 
@@ -68,9 +68,9 @@ class ClothStates:
 
     @property
     def free(self) -> Tensor:
-        """1 at free vertices, 0 at held ones, (n, H, W)."""
+        """1 at free vertices, 0 at pinned ones, (n, H, W)."""
         height, width = self.grid
-        free = torch.ones(len(self), height, width, device=self.held.device)
+        free = torch.ones(len(self), height, width, device=self.pinned.device)
         rows, columns = corner_indices(self.grid)
-        free[:, rows, columns] = 1 - self.held.float()
+        free[:, rows, columns] = 1 - self.pinned.float()
         return free

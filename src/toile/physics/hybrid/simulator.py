@@ -32,7 +32,7 @@ class HybridSimulator(LinearizableSimulator):
     success; the out-of-balance force that is left is the step's ``residual``.
 
     Args:
-        cloth: elements, rest shape, masses and held vertices.
+        cloth: elements, rest shape, masses and pinned vertices.
         time_step: h [s].
         integrator: see integrators.
         predictor: builds the predictor from (cloth, time step), with as long a past as the integrator's. No
@@ -82,12 +82,12 @@ class HybridSimulator(LinearizableSimulator):
 
     @torch.no_grad()
     def _starts(
-        self, state: State, material: Material, forces: Tensor, anchors: Tensor, guess: Tensor | None
+        self, state: State, material: Material, forces: Tensor, boundary: Tensor, guess: Tensor | None
     ) -> Tensor:
         candidates = extrapolations(state.positions, state.past)
         if self.predictor is not None:
             # Instead of the quadratic continuation.
-            candidates[1:] = [self.predictor.step(state, material, forces, anchors).state.positions]
+            candidates[1:] = [self.predictor.step(state, material, forces, boundary).state.positions]
         # No guess: where the corrections run out, the result depends on the start, and what a motion is must
         # follow from its past and its forces alone.
         return torch.stack(candidates, 1)
@@ -96,7 +96,7 @@ class HybridSimulator(LinearizableSimulator):
         self,
         starts: Array,
         prediction: Array,
-        anchors: Array,
+        boundary: Array,
         forces: Array,
         stiffness: Array,
         inertia: Array,
@@ -105,7 +105,7 @@ class HybridSimulator(LinearizableSimulator):
         linearize: bool,
     ) -> list[StepSolution]:
         solutions = []
-        arguments = zip(starts, prediction, anchors, forces, stiffness, strict=True)
+        arguments = zip(starts, prediction, boundary, forces, stiffness, strict=True)
         for scene, term in zip(arguments, terms, strict=True):
             term.prepare(self.assembly)
             solution = minimise_incremental_potential(

@@ -28,20 +28,20 @@ class Assembly:
     Args:
         n_vertices: N.
         energies: see InternalEnergy.
-        held: (n_held,) vertices whose motion is prescribed.
+        pinned: (n_pinned,) vertices whose motion is prescribed.
 
     Attributes:
         pattern: which blocks the Hessian has.
         free: (N, 3) 1 where a vertex may move, else 0.
     """
 
-    def __init__(self, n_vertices: int, energies: InternalEnergy, held: NDArray[np.int64]) -> None:
+    def __init__(self, n_vertices: int, energies: InternalEnergy, pinned: NDArray[np.int64]) -> None:
         start_warp()
         self.n = n_vertices
         self.internal = energies
-        self.held = np.asarray(held, np.int64)
+        self.pinned = np.asarray(pinned, np.int64)
         self.free = np.ones((self.n, 3))
-        self.free[self.held] = 0.0
+        self.free[self.pinned] = 0.0
         self.pattern = BlockPattern.of_pairs(self.n, energies.pairs())
         self._couplings = self._coupled_blocks()
         # Launches are recorded once, with arguments of their own: to pack those anew takes longer than to
@@ -62,7 +62,7 @@ class Assembly:
     @staticmethod
     def of(cloth: Cloth) -> Assembly:
         """The assembly of a cloth."""
-        return Assembly(cloth.n_vertices, cloth.energies, cloth.held.numpy())
+        return Assembly(cloth.n_vertices, cloth.energies, cloth.pinned.numpy())
 
     def _record(self, term: EnergyTerm, first: int) -> None:
         """Record the launches of a term whose first coefficient has that place."""
@@ -102,7 +102,7 @@ class Assembly:
 
     def __reduce__(self) -> tuple[object, ...]:
         """Recorded launches stay in their process; a copy elsewhere records its own."""
-        return (Assembly, (self.n, self.internal, self.held), (self._factors, self._rest))
+        return (Assembly, (self.n, self.internal, self.pinned), (self._factors, self._rest))
 
     def __setstate__(self, elements: tuple[dict[str, Array], dict[str, Array]]) -> None:
         for kept, given in zip((self._factors, self._rest), elements, strict=True):
@@ -137,7 +137,7 @@ class Assembly:
             convex: drop every indefinite part (positive semi-definite, used when the exact one is not).
 
         Returns:
-            gradients (C, N, 3); blocks (n_blocks, 3, 3) in the order of the pattern, held vertices included.
+            gradients (C, N, 3); blocks (n_blocks, 3, 3) in the order of the pattern, pinned vertices included.
         """
         blocks = np.zeros((len(self.pattern.rows), 3, 3))
         self._coefficients[:] = coefficients
@@ -147,24 +147,24 @@ class Assembly:
         return self._launch(x, CONVEX_HESSIAN if convex else EXACT_HESSIAN), blocks
 
     def coupling(self, blocks: Array) -> Array:
-        """The rows (3 n_held, 3N) of the Hessian that are ∂²E/∂x_held∂x_free."""
-        rows = np.zeros((len(self.held), 3, self.n, 3))
-        for place, held, vertex, transposed in self._couplings:
+        """The rows (3 n_pinned, 3N) of the Hessian that are ∂²E/∂x_pinned∂x_free."""
+        rows = np.zeros((len(self.pinned), 3, self.n, 3))
+        for place, pinned, vertex, transposed in self._couplings:
             found = blocks[place]
-            rows[held, :, vertex, :] = found.transpose(0, 2, 1) if transposed else found
-        return rows.reshape(3 * len(self.held), 3 * self.n)
+            rows[pinned, :, vertex, :] = found.transpose(0, 2, 1) if transposed else found
+        return rows.reshape(3 * len(self.pinned), 3 * self.n)
 
     def _coupled_blocks(self) -> list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], bool]]:
-        """Blocks between a held and a free vertex: place, number of the held, the free one, transposed."""
+        """Blocks between a pinned and a free vertex: place, number of the pinned, the free one, transposed."""
         number = np.full(self.n, -1)
-        number[self.held] = np.arange(len(self.held))
+        number[self.pinned] = np.arange(len(self.pinned))
         found = []
-        for held, other, transposed in (
+        for pinned, other, transposed in (
             (self.pattern.rows, self.pattern.columns, False),
             (self.pattern.columns, self.pattern.rows, True),
         ):
-            place = np.flatnonzero((number[held] >= 0) & (number[other] < 0))
-            found.append((place, number[held[place]], other[place], transposed))
+            place = np.flatnonzero((number[pinned] >= 0) & (number[other] < 0))
+            found.append((place, number[pinned[place]], other[place], transposed))
         return found
 
     def _launch(self, x: Array, order: int) -> Array:

@@ -24,13 +24,13 @@ Array = NDArray[np.float64]
 class Perturbation:
     """A change of every input of a rollout of one scene, or a gradient with respect to them.
 
-    Held vertices are where their anchors are, at frame 0 too: ``anchors[0]`` stands for both, and what
-    ``positions`` and ``velocities`` say about held vertices is ignored (zero in a gradient).
+    Pinned vertices are where their boundary positions are, at frame 0 too: ``boundary[0]`` stands for both, and what
+    ``positions`` and ``velocities`` say about pinned vertices is ignored (zero in a gradient).
 
     Attributes:
         forces: (F-1, N, 3) [N].
         stiffness: (C,) coefficients of the energies.
-        anchors: (F, n_held, 3) [m].
+        boundary: (F, n_pinned, 3) [m].
         positions: initial positions (N, 3) [m].
         velocities: initial velocities (N, 3) [m/s].
         values: numbers inside the step terms, one term after the other, those that require gradients;
@@ -41,7 +41,7 @@ class Perturbation:
 
     forces: Array
     stiffness: Array
-    anchors: Array
+    boundary: Array
     positions: Array
     velocities: Array
     values: Array = field(default_factory=lambda: np.zeros(0))
@@ -102,12 +102,12 @@ class LinearizedRollout:
     def substep_tangent(self, change: Perturbation) -> Array:
         """Change of every sub-step's positions, (n + 1, N, 3), like Rollout.all_positions."""
         assembly = self.simulator.assembly
-        free, held = assembly.free, assembly.held
+        free, pinned = assembly.free, assembly.pinned
         start = change.positions.copy()
-        start[held] = change.anchors[0]
+        start[pinned] = change.boundary[0]
         history = [start - k * self._h * change.velocities for k in range(self.simulator.integrator.history)]
         every = [start]
-        moving = bool(np.any(change.anchors))
+        moving = bool(np.any(change.boundary))
         for n, step in enumerate(self.steps):
             frame, sub = self._intervals[n]
             right = change.forces[frame] - np.tensordot(change.stiffness, step.unit_gradients, 1)
@@ -117,8 +117,8 @@ class LinearizedRollout:
             right += step.inertia[:, None] * prediction
             if moving:
                 fraction = sub / self.frame_steps.between(frame)
-                anchor = (1 - fraction) * change.anchors[frame] + fraction * change.anchors[frame + 1]
-                right -= (anchor.reshape(-1) @ step.coupling).reshape(-1, 3)
+                boundary = (1 - fraction) * change.boundary[frame] + fraction * change.boundary[frame + 1]
+                right -= (boundary.reshape(-1) @ step.coupling).reshape(-1, 3)
             if step.memory is not None:
                 velocity = change.velocities * free
                 if n > 0:
@@ -129,12 +129,12 @@ class LinearizedRollout:
                     right += step.memory.tangent(
                         history[0],
                         velocity,
-                        anchor if moving else np.zeros((len(held), 3)),
+                        boundary if moving else np.zeros((len(pinned), 3)),
                         change.stiffness,
                         change.values,
                     )
             x = step.factor.solve(right)
-            x[held] = anchor if moving else 0.0
+            x[pinned] = boundary if moving else 0.0
             history = [x, *history[:-1]]
             every.append(x)
         return np.stack(every)
@@ -142,12 +142,12 @@ class LinearizedRollout:
     def adjoint(self, gradient: Array) -> Perturbation:
         """Gradient with respect to the inputs for a gradient with respect to frame positions (F, N, 3)."""
         assembly = self.simulator.assembly
-        free, held = assembly.free, assembly.held
+        free, pinned = assembly.free, assembly.pinned
         n, k = self.n_vertices, self.simulator.integrator.history
         to = Perturbation(
             np.zeros((self.n_frames - 1, n, 3)),
             np.zeros(assembly.internal.n_coefficients),
-            np.zeros((self.n_frames, len(held), 3)),
+            np.zeros((self.n_frames, len(pinned), 3)),
             np.zeros((n, 3)),
             np.zeros((n, 3)),
             np.zeros(0 if self.steps[0].memory is None else self.steps[0].memory.n_values),
@@ -167,12 +167,12 @@ class LinearizedRollout:
             to.stiffness -= (step.unit_gradients * adjoint).sum((1, 2))
             if self._imbalance:
                 to.inertia -= (self._imbalance[index] * adjoint).sum(-1)
-            anchor = g[held] - (step.coupling @ adjoint.reshape(-1)).reshape(-1, 3)
+            boundary = g[pinned] - (step.coupling @ adjoint.reshape(-1)).reshape(-1, 3)
             pending.append(np.zeros((n, 3)))
             if step.memory is not None:
-                to_now, to_velocity, to_anchor, to_stiffness, to_values = step.memory.adjoint(adjoint)
+                to_now, to_velocity, to_boundary, to_stiffness, to_values = step.memory.adjoint(adjoint)
                 pending[0] = pending[0] + to_now
-                anchor = anchor + to_anchor
+                boundary = boundary + to_boundary
                 to.stiffness += to_stiffness
                 to.values += to_values
                 if index > 0:
@@ -181,16 +181,16 @@ class LinearizedRollout:
                 else:
                     to.velocities += to_velocity * free
             fraction = sub / between
-            to.anchors[frame] += (1 - fraction) * anchor
-            to.anchors[frame + 1] += fraction * anchor
+            to.boundary[frame] += (1 - fraction) * boundary
+            to.boundary[frame + 1] += fraction * boundary
             to_prediction = step.inertia[:, None] * adjoint
             for i, c in enumerate(self._coefficients[index]):
                 pending[i] = pending[i] + c * to_prediction
         pending[0] = pending[0] + gradient[0]
         for i, g in enumerate(pending):
             start = g.copy()
-            to.anchors[0] += start[held]
-            start[held] = 0.0
+            to.boundary[0] += start[pinned]
+            start[pinned] = 0.0
             to.positions += start
             to.velocities -= i * self._h * start
         return to

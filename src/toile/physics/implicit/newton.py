@@ -71,7 +71,7 @@ class Linearization:
 
     Attributes:
         factor: Cholesky factor of the Hessian of Φ over the free vertices.
-        coupling: (3 n_held, 3N) ∂²E/∂x_held∂x_free.
+        coupling: (3 n_pinned, 3N) ∂²E/∂x_pinned∂x_free.
         unit_gradients: (C, N, 3) gradients of the unit energies e_c.
         inertia: (N,) masses / (β h)².
         exact: whether the Hessian is the exact one at the solution. If not, the derivatives are approximate:
@@ -103,7 +103,7 @@ def minimise_incremental_potential(
     solver: LinearSolver,
     guesses: Array,
     prediction: Array,
-    anchors: Array,
+    boundary: Array,
     forces: Array,
     stiffness: Array,
     inertia: Array,
@@ -121,7 +121,7 @@ def minimise_incremental_potential(
         solver: for matrices of its pattern.
         guesses: (G, N, 3) candidate starts [m]; the one of lowest Φ is taken.
         prediction: x̂ (N, 3) [m].
-        anchors: positions of the held vertices (n_held, 3) [m].
+        boundary: positions of the pinned vertices (n_pinned, 3) [m].
         forces: f (N, 3) [N].
         stiffness: (C,) coefficients of the energies.
         inertia: masses / (β h)², (N,) [kg/s²].
@@ -154,7 +154,7 @@ def minimise_incremental_potential(
         return abs(after - before) <= 1e-12 * (abs(before) + abs(after))
 
     starts = np.array(guesses, np.float64)
-    starts[:, assembly.held] = anchors
+    starts[:, assembly.pinned] = boundary
     values = np.array([potential(start) for start in starts])
     best = int(np.argmin(np.where(np.isfinite(values), values, np.inf)))
     x, value = starts[best], float(values[best])

@@ -31,7 +31,7 @@ class ImplicitSimulator(LinearizableSimulator):
     Newton's method starts from the guess or an extrapolation of the past, whichever is lower.
 
     Args:
-        cloth: elements, rest shape, masses and held vertices.
+        cloth: elements, rest shape, masses and pinned vertices.
         time_step: h [s]; see LinearizableSimulator.
         integrator: see integrators.
         newton: see NewtonSettings.
@@ -50,7 +50,7 @@ class ImplicitSimulator(LinearizableSimulator):
         self.newton = newton
 
     def _starts(
-        self, state: State, material: Material, forces: Tensor, anchors: Tensor, guess: Tensor | None
+        self, state: State, material: Material, forces: Tensor, boundary: Tensor, guess: Tensor | None
     ) -> Tensor:
         """Candidate starts of Newton's method, (B, G, N, 3), detached: extrapolated past and warm start."""
         candidates = extrapolations(state.positions.detach(), state.past.detach())
@@ -62,7 +62,7 @@ class ImplicitSimulator(LinearizableSimulator):
         self,
         starts: Array,
         prediction: Array,
-        anchors: Array,
+        boundary: Array,
         forces: Array,
         stiffness: Array,
         inertia: Array,
@@ -71,7 +71,7 @@ class ImplicitSimulator(LinearizableSimulator):
         linearize: bool,
     ) -> list[StepSolution]:
         solutions = []
-        arguments = zip(starts, prediction, anchors, forces, stiffness, strict=True)
+        arguments = zip(starts, prediction, boundary, forces, stiffness, strict=True)
         for scene, term in zip(arguments, terms, strict=True):
             term.prepare(self.assembly)
             solutions.append(

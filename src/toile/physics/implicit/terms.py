@@ -146,7 +146,7 @@ def depends_on_gradients(terms: Sequence[StepTerm], now: StepContext) -> bool:
         now.material.values,
         now.positions,
         now.velocities,
-        now.anchors,
+        now.boundary,
         torch.as_tensor(now.time_step),
         *(term.values for term in terms),
     ]
@@ -169,15 +169,15 @@ class TermMemory:
         plain = now.detached()
         self._leaves = [
             t.clone().requires_grad_()
-            for t in (plain.positions, plain.velocities, plain.anchors, plain.material.values[0])
+            for t in (plain.positions, plain.velocities, plain.boundary, plain.material.values[0])
         ]
-        x, v, anchors, material = self._leaves
+        x, v, boundary, material = self._leaves
         leaf = replace(
             plain,
             material=Material(plain.material.parameters, material[None]),
             positions=x,
             velocities=v,
-            anchors=anchors,
+            boundary=boundary,
         )
         self.values = [term.values for term in terms if term.values.requires_grad]
         self._forces = term_forces(terms, leaf, positions)
@@ -188,8 +188,8 @@ class TermMemory:
         """Numbers in all ``values``."""
         return sum(map(len, self.values))
 
-    def tangent(self, x: Array, v: Array, anchors: Array, stiffness: Array, values: Array) -> Array:
-        """Change of the force (N, 3) for changes of x_n, v_n, anchors, material (P,) and all values (n,).
+    def tangent(self, x: Array, v: Array, boundary: Array, stiffness: Array, values: Array) -> Array:
+        """Change of the force (N, 3) for changes of x_n, v_n, boundary positions, material (P,) and all values (n,).
 
         No values, (0,), stands for no change of them.
         """
@@ -200,7 +200,7 @@ class TermMemory:
             dummy = torch.zeros_like(self._forces, requires_grad=True)
             self._slopes = dummy, self._adjoint(dummy, graph=True)
         dummy, slopes = self._slopes
-        changes = [torch.from_numpy(np.ascontiguousarray(c)) for c in (x, v, anchors, stiffness)]
+        changes = [torch.from_numpy(np.ascontiguousarray(c)) for c in (x, v, boundary, stiffness)]
         if len(values):
             changes += torch.from_numpy(values).split([len(v) for v in self.values])
         total = sum(((s * c).sum() for s, c in zip(slopes, changes, strict=False)), start=0 * dummy.sum())
@@ -209,7 +209,7 @@ class TermMemory:
         return found
 
     def adjoint(self, gradient: Array) -> tuple[Array, Array, Array, Array, Array]:
-        """Gradients by x_n, v_n, anchors, material (P,) and all values for one by the force (N, 3)."""
+        """Gradients by x_n, v_n, boundary positions, material (P,) and all values for one by the force (N, 3)."""
         found = [g.detach().numpy() for g in self._adjoint(torch.from_numpy(gradient), graph=False)]
         values: Array = np.concatenate(found[4:]) if found[4:] else np.zeros(0)
         return found[0], found[1], found[2], found[3], values

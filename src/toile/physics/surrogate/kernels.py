@@ -492,7 +492,7 @@ def vertex_inputs_kernel(
     x: wp.array(dtype=wp.vec3d, ndim=3),
     residual: wp.array(dtype=wp.vec3, ndim=3),
     tension: wp.array(dtype=wp.float32, ndim=4),
-    held: wp.array(dtype=wp.float32, ndim=3),
+    pinned: wp.array(dtype=wp.float32, ndim=3),
     masses: wp.array(dtype=wp.float32, ndim=2),
     stiffness: wp.array(dtype=wp.vec3),
     level: wp.int32,
@@ -542,7 +542,7 @@ def vertex_inputs_kernel(
     out[b, i, j, 7] = length_a - 1.0
     out[b, i, j, 8] = length_c - 1.0
     out[b, i, j, 9] = wp.dot(a, c)
-    out[b, i, j, 10] = held[b, i, j]
+    out[b, i, j, 10] = pinned[b, i, j]
     if level == 0:
         out[b, i, j, 11] = asinh(tension[b, i, j, 1])
         out[b, i, j, 12] = asinh(tension[b, i, j, 2])
@@ -617,12 +617,12 @@ def tangential_relaxation(
     Args:
         positions: (B, H, W, 3) float64.
         stiffness: (B, 3).
-        residual: -∇Φ (B, H, W, 3), zero at held vertices.
+        residual: -∇Φ (B, H, W, 3), zero at pinned vertices.
         masses: (H, W).
         free: (B, H, W), 1 or 0.
 
     Returns:
-        (B, H, W, 3), zero at held vertices.
+        (B, H, W, 3), zero at pinned vertices.
     """
     x = positions.double().contiguous()
     batch, height, width, _ = x.shape
@@ -662,7 +662,7 @@ def line_relaxation(
     Args:
         positions: (B, H, W, 3) float64.
         stiffness: (B, 3).
-        residual: -∇Φ (B, H, W, 3), zero at held vertices.
+        residual: -∇Φ (B, H, W, 3), zero at pinned vertices.
         rest_i: rest lengths along grid axis 0, (B, H-1, W).
         rest_j: rest lengths along grid axis 1, (B, H, W-1).
         masses: (H, W).
@@ -670,7 +670,7 @@ def line_relaxation(
         axis: 0 for the lines along i, 1 for those along j.
 
     Returns:
-        (B, H, W, 3), zero at held vertices.
+        (B, H, W, 3), zero at pinned vertices.
     """
     x = positions.double().contiguous()
     batch, height, width, _ = x.shape
@@ -703,7 +703,7 @@ def vertex_inputs(
     positions: Tensor,
     residual: Tensor,
     tension: Tensor,
-    held: Tensor,
+    pinned: Tensor,
     masses: Tensor,
     stiffness: Tensor,
     level: int,
@@ -717,7 +717,7 @@ def vertex_inputs(
         positions: (B, h, w, 3) float64.
         residual: (B, h, w, 3).
         tension: (B, h, w, 3), see ``tensions``.
-        held: (B, h, w), share of held vertices.
+        pinned: (B, h, w), share of pinned vertices.
         masses: (h, w), read at level 0 only.
         stiffness: (B, 3).
         level: 0 is the cloth's own grid.
@@ -725,7 +725,7 @@ def vertex_inputs(
     Returns:
         Frames (B, h, w, 3, 3), rows u, v, n; inputs (B, h, w, C): residual along u, v, n (0 to 2), the same
         over an estimate of the local stiffness, a displacement (3 to 5), pulling tension (6), metric of the
-        surface (7 to 9), held (10); at level 0 also tensions (11, 12), second differences along i and j (13
+        surface (7 to 9), pinned (10); at level 0 also tensions (11, 12), second differences along i and j (13
         to 18) and mass (19).
     """
     x = positions.double().contiguous()
@@ -737,7 +737,7 @@ def vertex_inputs(
         x,
         residual,
         tension,
-        held,
+        pinned,
         masses,
         stiffness,
         level,

@@ -83,7 +83,7 @@ class GatedUNet(nn.Module):
         return sum(p.numel() for p in self.parameters())
 
     def forward(self, problem: StepProblem, positions: Tensor, residual: Tensor) -> Tensor:
-        """Displacement (B, H, W, 3), zero at held vertices, differentiable in the weights only.
+        """Displacement (B, H, W, 3), zero at pinned vertices, differentiable in the weights only.
 
         Args:
             problem: the step.
@@ -123,18 +123,18 @@ class GatedUNet(nn.Module):
         return (here + _resize_last(displacement, (height, width))) * problem.free[..., None]
 
     def _levels(self, problem: StepProblem, positions: Tensor, residual: Tensor) -> list[_Level]:
-        x, r, held = positions - positions.mean((1, 2), keepdim=True), residual, 1.0 - problem.free
+        x, r, pinned = positions - positions.mean((1, 2), keepdim=True), residual, 1.0 - problem.free
         k = problem.stiffness
         tension = kernels.tensions(positions, k, problem.rest_lengths_i, problem.rest_lengths_j)
         material = 0.2 * k.log() - 0.2 * k.new_tensor([5.0, 0.0, 0.0])
         levels = []
         for level in range(len(self.widths) + 1):
             if level:
-                stacked = torch.cat((x.float(), r, tension, held[..., None]), -1).permute(0, 3, 1, 2)
+                stacked = torch.cat((x.float(), r, tension, pinned[..., None]), -1).permute(0, 3, 1, 2)
                 stacked = _halve(stacked).permute(0, 2, 3, 1)
                 x, r = stacked[..., :3].double(), stacked[..., 3:6]
-                tension, held = stacked[..., 6:9], stacked[..., 9]
-            frames, inputs = kernels.vertex_inputs(x, r, tension, held, problem.masses, k, level)
+                tension, pinned = stacked[..., 6:9], stacked[..., 9]
+            frames, inputs = kernels.vertex_inputs(x, r, tension, pinned, problem.masses, k, level)
             levels.append(_Level(frames, inputs, material))
         return levels
 

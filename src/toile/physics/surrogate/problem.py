@@ -22,11 +22,11 @@ class StepProblem:
 
     Attributes:
         prediction: x̂ of the integrator, (B, H, W, 3).
-        starts: candidate starts, held vertices already at their anchors, (B, G, H, W, 3).
+        starts: candidate starts, pinned vertices already at their boundary positions, (B, G, H, W, 3).
         forces: f, external force, gravity included, (B, H, W, 3).
         stiffness: Y, S, B; (B, 3).
         masses: 1 inside, ½ on the border, ¼ at corners; (H, W).
-        free: 1 where a vertex may move, 0 where it is held; (B, H, W).
+        free: 1 where a vertex may move, 0 where it is pinned; (B, H, W).
         rest_lengths_i: of edges along grid axis 0, (B, H-1, W).
         rest_lengths_j: of edges along grid axis 1, (B, H, W-1).
     """
@@ -56,7 +56,7 @@ class StepProblem:
                 raise ValueError(f"{name}: expected shape {expected}, got {got}")
 
     def residual(self, positions: Tensor) -> Tensor:
-        """Out-of-balance force -∇Φ (Eq. 13) at positions (B, H, W, 3); zero at held vertices."""
+        """Out-of-balance force -∇Φ (Eq. 13) at positions (B, H, W, 3); zero at pinned vertices."""
         internal = kernels.energy_gradient(
             positions, self.stiffness, self.rest_lengths_i, self.rest_lengths_j
         )

@@ -86,11 +86,11 @@ class SurrogateSimulator(LinearizableSimulator):
         self._rest_i = rest[: (height - 1) * width].reshape(height - 1, width)
         self._rest_j = rest[(height - 1) * width :].reshape(height, width - 1)
         free = torch.ones(cloth.n_vertices)
-        free[cloth.held] = 0.0
+        free[cloth.pinned] = 0.0
         self._free = free.reshape(height, width)
 
     def _starts(
-        self, state: State, material: Material, forces: Tensor, anchors: Tensor, guess: Tensor | None
+        self, state: State, material: Material, forces: Tensor, boundary: Tensor, guess: Tensor | None
     ) -> Tensor:
         now = state.positions.detach()
         # Standing still is among the starts: then backward Euler never gains energy (see docs/surrogate.md).
@@ -103,7 +103,7 @@ class SurrogateSimulator(LinearizableSimulator):
         self,
         starts: Array,
         prediction: Array,
-        anchors: Array,
+        boundary: Array,
         forces: Array,
         stiffness: Array,
         inertia: Array,
@@ -114,10 +114,10 @@ class SurrogateSimulator(LinearizableSimulator):
         units = NetworkUnits(self._mass, self._length, float(np.sqrt(self._mass / inertia.max())))
         # Coordinates stay small wherever the cloth is.
         origin = prediction.mean(1)[:, None]
-        problem = self._problem(starts, prediction, anchors, forces, stiffness, inertia, units, origin)
+        problem = self._problem(starts, prediction, boundary, forces, stiffness, inertia, units, origin)
         solved, residual = self.surrogate.solve(problem, self.passes, self.sweeps)
         positions = solved.numpy().reshape(prediction.shape) * self._length + origin
-        positions[:, self.assembly.held] = anchors
+        positions[:, self.assembly.pinned] = boundary
         largest = residual.flatten(1).abs().amax(1).tolist()
         return [
             self._solution(x, k, float(r) * units.force, inertia, linearize=linearize)
@@ -128,7 +128,7 @@ class SurrogateSimulator(LinearizableSimulator):
         self,
         starts: Array,
         prediction: Array,
-        anchors: Array,
+        boundary: Array,
         forces: Array,
         stiffness: Array,
         inertia: Array,
@@ -139,7 +139,7 @@ class SurrogateSimulator(LinearizableSimulator):
         batch = len(prediction)
         fall = prediction + forces / inertia[:, None]
         candidates = np.concatenate((starts, fall[:, None]), 1)
-        candidates[:, :, self.assembly.held] = anchors[:, None]
+        candidates[:, :, self.assembly.pinned] = boundary[:, None]
         scale = np.array([units.stretching, units.energy, units.energy])
 
         def grid(points: Array) -> Tensor:

@@ -18,7 +18,7 @@ from toile.scenes.findings import Finding, Severity, require
 from toile.scenes.scene import Scene
 from toile.scenes.texture_coordinates import project_coordinates
 from toile.scenes.validation import (
-    check_held_vertices,
+    check_pinned_vertices,
     check_scene,
     check_template,
     silhouette_overlap,
@@ -40,7 +40,7 @@ class MadeTemplate:
     """A template and what was measured on it.
 
     Attributes:
-        scene: with frame 0 and mask 0 only; its template, texture and held vertices are what was made.
+        scene: with frame 0 and mask 0 only; its template, texture and pinned vertices are what was made.
         n_frames: frames in the folder.
         times: of those frames [s]; None where they are evenly spaced.
         surface: the grid as it was laid, with distances to the input surface.
@@ -72,7 +72,7 @@ def make_template(
     layout: Layout,
     *,
     name: str,
-    held_vertices: Sequence[int] | None,
+    pinned_vertices: Sequence[int] | None,
     gravity: Sequence[float],
     minimum_iou: float,
 ) -> MadeTemplate:
@@ -83,7 +83,7 @@ def make_template(
         surface: mesh, points or sheet.
         layout: the grid; without a cloth size that of the surface is taken.
         name: of the scene.
-        held_vertices: flattened indices; None for the two upper corners in the image.
+        pinned_vertices: flattened indices; None for the two upper corners in the image.
         gravity: [m/s²], camera frame.
         minimum_iou: of the projected template with mask 0.
 
@@ -98,8 +98,8 @@ def make_template(
     cloth_size = measured if layout.cloth_size is None else layout.cloth_size
     corners = corner_vertices(layout.grid)
     upper = (corners["upper left"], corners["upper right"])
-    held = upper if held_vertices is None else tuple(int(k) for k in held_vertices)
-    require(check_held_vertices(held, layout.grid, "settings"))
+    pinned = upper if pinned_vertices is None else tuple(int(k) for k in pinned_vertices)
+    require(check_pinned_vertices(pinned, layout.grid, "settings"))
     found = [
         *still.remarks,
         *check_template(positions.reshape(-1, 3), layout.grid, cloth_size, "surface"),
@@ -118,7 +118,7 @@ def make_template(
         cloth_size=cloth_size,
         gravity=torch.tensor(list(gravity), dtype=torch.float64),
         fps=still.fps,
-        held_vertices=held,
+        pinned_vertices=pinned,
         original_size=(h, w),
         source=still.folder,
     )

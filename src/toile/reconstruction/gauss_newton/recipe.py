@@ -303,13 +303,13 @@ class TrackingRecipe(Recipe):
                 effects.values.copy_(torch.from_numpy(values))
 
     def _extend(self, p: ClothParameters, last: int) -> None:
-        """Start new frames from the forces and anchors of the last known ones."""
+        """Start new frames from the forces and boundary positions of the last known ones."""
         known = self._covered
         if known == 0:
             return
         with torch.no_grad():
             p.turbulence[known:last] = p.turbulence[known - 1]
-            p.anchor_motion[known + 1 : last + 1] = p.anchor_motion[known]
+            p.boundary_motion[known + 1 : last + 1] = p.boundary_motion[known]
 
 
 # Points of the image term lie anywhere in their lattice cell.

@@ -35,8 +35,8 @@ class Priors:
         turbulence: of each component of the turbulent acceleration [m/s²].
         turbulence_time: frames over which turbulence is correlated.
         turbulence_space: vertices over which it is correlated.
-        anchor_motion: of the held vertices' displacement [m].
-        anchor_motion_time: frames over which that is correlated.
+        boundary_motion: of the pinned vertices' displacement [m].
+        boundary_motion_time: frames over which that is correlated.
         stiffness: of the logarithm of Y, S and B around their start values.
         wind: of each horizontal component of the constant wind around zero [m/s²].
         walk: learn stiffness, wind and effects on the way: their deviations are then those of the change
@@ -47,8 +47,8 @@ class Priors:
     turbulence: Annotated[Positive, Unit("m/s²")] | None
     turbulence_time: Annotated[NonNegative, Unit("frames")]
     turbulence_space: Annotated[NonNegative, Unit("vertices")]
-    anchor_motion: Annotated[Positive, Unit("m")] | None
-    anchor_motion_time: Annotated[NonNegative, Unit("frames")]
+    boundary_motion: Annotated[Positive, Unit("m")] | None
+    boundary_motion_time: Annotated[NonNegative, Unit("frames")]
     stiffness: Annotated[Positive, Unit("of the logarithm")] | None
     wind: Annotated[Positive, Unit("m/s²")] | None
     walk: bool
@@ -62,12 +62,12 @@ class WindowInputs:
     Attributes:
         simulator: with the effects' terms, masses and time step.
         forces: (n, N, 3) [N].
-        anchors: held positions (n + 1, n_held, 3) [m].
+        boundary: pinned positions (n + 1, n_pinned, 3) [m].
     """
 
     simulator: Simulator
     forces: Array
-    anchors: Array
+    boundary: Array
 
 
 @dataclass(frozen=True)
@@ -76,13 +76,13 @@ class EffectColumns:
 
     Attributes:
         forces: (k, n, N, 3) [N].
-        anchors: (k, n + 1, n_held, 3) [m].
+        boundary: (k, n + 1, n_pinned, 3) [m].
         inertia: relative change of masses over squared time step (k, N).
         masses: under the effects (N,) [kg].
     """
 
     forces: Array
-    anchors: Array
+    boundary: Array
     inertia: Array
     masses: Array
 
@@ -126,12 +126,12 @@ class WindowUnknowns:
         )
         self._series = (
             None
-            if priors.anchor_motion is None or len(reconstruction.cloth.held) == 0
-            else SmoothSeries(self.n + 1, priors.anchor_motion, priors.anchor_motion_time)
+            if priors.boundary_motion is None or len(reconstruction.cloth.pinned) == 0
+            else SmoothSeries(self.n + 1, priors.boundary_motion, priors.boundary_motion_time)
         )
-        # Where the window starts the cloth is where it is, held vertices included.
-        self._anchor_free = np.ones((self.n + 1, 1, 1))
-        self._anchor_free[0] = 0.0
+        # Where the window starts the cloth is where it is, pinned vertices included.
+        self._boundary_free = np.ones((self.n + 1, 1, 1))
+        self._boundary_free[0] = 0.0
         self._read(reconstruction.parameters)
         self._mean_stiffness = self._stiffness if priors.walk else start_stiffness
         self._mean_wind = self._wind if priors.walk else np.zeros(3)
@@ -145,13 +145,13 @@ class WindowUnknowns:
         if len(effects):
             with torch.no_grad():
                 given = reconstruction.setting()
-            self._window_start = given.anchors[first].numpy()
+            self._window_start = given.boundary[first].numpy()
             self._acting_masses = given.cloth.masses.numpy()
 
     def _read(self, p: ClothParameters) -> None:
         self._stored = p.turbulence.detach().numpy()[self.first : self.last].copy()
         self._turbulence = self._stored / self._relative_mass
-        self._anchors = p.anchor_motion.detach().numpy()[self.first : self.last + 1].copy()
+        self._boundary = p.boundary_motion.detach().numpy()[self.first : self.last + 1].copy()
         self._stiffness = p.stiffness().numpy()
         self._wind = p.wind.detach().numpy().copy()
 
@@ -161,7 +161,7 @@ class WindowUnknowns:
         if self._field is not None:
             z["turbulence"] = self._field.whiten(self._turbulence.reshape(self.n, *self.grid, 3))
         if self._series is not None:
-            z["anchor_motion"] = self._series.whiten(self._anchors)
+            z["boundary_motion"] = self._series.whiten(self._boundary)
         if self.priors.stiffness is not None:
             z["stiffness"] = np.log(self._stiffness / self._mean_stiffness) / self.priors.stiffness
         if self.priors.wind is not None:
@@ -176,12 +176,12 @@ class WindowUnknowns:
             return self._turbulence
         return self._field.colour(z["turbulence"]).reshape(self.n, -1, 3)
 
-    def anchor_motion(self, z: Vector) -> Array:
-        """Displacement of the held vertices (n + 1, n_held, 3) [m]."""
+    def boundary_motion(self, z: Vector) -> Array:
+        """Displacement of the pinned vertices (n + 1, n_pinned, 3) [m]."""
         if self._series is None:
-            return self._anchors
-        motion = self._series.colour(z["anchor_motion"])
-        return np.where(self._anchor_free > 0, motion, self._anchors)
+            return self._boundary
+        motion = self._series.colour(z["boundary_motion"])
+        return np.where(self._boundary_free > 0, motion, self._boundary)
 
     def stiffness(self, z: Vector) -> Array:
         """Stiffnesses in network units."""
@@ -232,8 +232,8 @@ class WindowUnknowns:
         """
         r = self.reconstruction
         if not len(self._effects):
-            anchors = r.template.numpy()[r.cloth.held.numpy()] + self.anchor_motion(z)
-            return WindowInputs(r.simulator, self.forces(z), anchors)
+            boundary = r.template.numpy()[r.cloth.pinned.numpy()] + self.boundary_motion(z)
+            return WindowInputs(r.simulator, self.forces(z), boundary)
         acting = self._effects.acting(torch.from_numpy(self.values(z)), as_leaves=linearize)
         with torch.no_grad():
             given = self._setting(z, acting)
@@ -244,19 +244,19 @@ class WindowUnknowns:
             forces = given.forces[self.first : self.last].numpy() + (
                 self._interior_mass * self._stored_turbulence(z)
             )
-        anchors = given.anchors[self.first : self.last + 1].numpy().copy()
-        anchors[0] = self._window_start
-        return WindowInputs(r.simulator_of(given), forces, anchors)
+        boundary = given.boundary[self.first : self.last + 1].numpy().copy()
+        boundary[0] = self._window_start
+        return WindowInputs(r.simulator_of(given), forces, boundary)
 
     def _setting(self, z: Vector, effects: Sequence[Effect]) -> Setting:
-        motion = self.reconstruction.parameters.anchor_motion.detach().clone()
-        motion[self.first : self.last + 1] = torch.from_numpy(self.anchor_motion(z))
+        motion = self.reconstruction.parameters.boundary_motion.detach().clone()
+        motion[self.first : self.last + 1] = torch.from_numpy(self.boundary_motion(z))
         return self.reconstruction.setting(effects, motion, torch.from_numpy(self.wind(z)))
 
     def columns(self, z: Vector) -> EffectColumns:
         """Derivatives of the window's inputs by the effects' numbers; those within step terms are zero."""
         values = self.values(z)
-        key = b"".join(a.tobytes() for a in (values, self.wind(z), self.anchor_motion(z)))
+        key = b"".join(a.tobytes() for a in (values, self.wind(z), self.boundary_motion(z)))
         if self._columns is None or self._columns[0] != key:
             self._columns = key, self._differentiate(z, values)
         return self._columns[1]
@@ -269,13 +269,13 @@ class WindowUnknowns:
             masses, interval = given.cloth.masses, given.frame_interval
             parts = (
                 given.forces[self.first : self.last],
-                given.anchors[self.first : self.last + 1],
+                given.boundary[self.first : self.last + 1],
                 masses.log() - 2 * interval.log(),
             )
-            forces, anchors, inertia = (jacobian_columns(part, at).numpy() for part in parts)
+            forces, boundary, inertia = (jacobian_columns(part, at).numpy() for part in parts)
         # The window starts where the cloth is.
-        anchors[:, 0] = 0.0
-        return EffectColumns(forces, anchors, inertia, masses.detach().numpy())
+        boundary[:, 0] = 0.0
+        return EffectColumns(forces, boundary, inertia, masses.detach().numpy())
 
     def forces(self, z: Vector) -> Array:
         """External forces (n, N, 3) [N], rounded as ClothParameters.forces rounds the stored values.
@@ -307,21 +307,21 @@ class WindowUnknowns:
         stiffness = np.zeros_like(self._stiffness)
         if self.priors.stiffness is not None:
             stiffness = self.si_stiffness(z) * self.priors.stiffness * d["stiffness"]
-        anchors = np.zeros_like(self._anchors)
+        boundary = np.zeros_like(self._boundary)
         if self._series is not None:
-            anchors = self._series.colour(d["anchor_motion"]) * self._anchor_free
+            boundary = self._series.colour(d["boundary_motion"]) * self._boundary_free
         rest = np.zeros((n_vertices, 3))
         if not len(self._effects):
-            return Perturbation(self._masses * (acceleration + blown), stiffness, anchors, rest, rest)
+            return Perturbation(self._masses * (acceleration + blown), stiffness, boundary, rest, rest)
         forces = self._masses * acceleration + self._masses_at(z)[:, None] * blown
         if self._value_deviations is None:
-            return Perturbation(forces, stiffness, anchors, rest, rest)
+            return Perturbation(forces, stiffness, boundary, rest, rest)
         columns = self.columns(z)
         change = self._value_deviations * d["effects"]
         return Perturbation(
             forces + np.tensordot(change, columns.forces, 1),
             stiffness,
-            anchors + np.tensordot(change, columns.anchors, 1),
+            boundary + np.tensordot(change, columns.boundary, 1),
             rest,
             rest,
             values=change[self._terms],
@@ -335,7 +335,7 @@ class WindowUnknowns:
         if self._field is not None:
             out["turbulence"] = self._field.colour_adjoint(acceleration.reshape(self.n, *self.grid, 3))
         if self._series is not None:
-            out["anchor_motion"] = self._series.colour_adjoint(gradient.anchors * self._anchor_free)
+            out["boundary_motion"] = self._series.colour_adjoint(gradient.boundary * self._boundary_free)
         if self.priors.stiffness is not None:
             out["stiffness"] = gradient.stiffness * self.si_stiffness(z) * self.priors.stiffness
         if self.priors.wind is not None:
@@ -343,7 +343,7 @@ class WindowUnknowns:
         if self._value_deviations is not None:
             columns = self.columns(z)
             slope = np.tensordot(columns.forces, gradient.forces, 3)
-            slope += np.tensordot(columns.anchors, gradient.anchors, 3)
+            slope += np.tensordot(columns.boundary, gradient.boundary, 3)
             slope[self._terms] += gradient.values
             if self._effects.change_inertia:
                 slope += columns.inertia @ gradient.inertia
@@ -366,7 +366,7 @@ class WindowUnknowns:
                 p.turbulence[self.first : self.last] = torch.from_numpy(
                     self.turbulence(z) * self._relative_mass
                 )
-            p.anchor_motion[self.first : self.last + 1] = torch.from_numpy(self.anchor_motion(z))
+            p.boundary_motion[self.first : self.last + 1] = torch.from_numpy(self.boundary_motion(z))
             p.set_stiffness(self.stiffness(z).tolist())
             # The frames before the window keep the forces that have brought the cloth to where it starts.
             p.turbulence[: self.first] += drift

@@ -138,7 +138,7 @@ def minimise_window(
     def simulate(z: Vector, guess: Array | None, *, linearize: bool) -> tuple[Motion, bool]:
         nonlocal newton
         given = unknowns.inputs(z, linearize=linearize)
-        simulator, anchors = given.simulator, given.anchors
+        simulator, boundary = given.simulator, given.boundary
         if not isinstance(simulator, LinearizableSimulator):
             raise TypeError(
                 f"Gauss-Newton needs a simulator that linearises its steps, got {type(simulator).__name__}"
@@ -146,7 +146,7 @@ def minimise_window(
         state = start
         if first == 0:
             positions = start.positions.clone()
-            positions[0, simulator.cloth.held] = torch.from_numpy(anchors[0])
+            positions[0, simulator.cloth.pinned] = torch.from_numpy(boundary[0])
             state = State.start(positions, start.velocities, simulator.time_step, simulator.n_past)
         elif simulator.time_step != nominal.time_step:
             # The positions before are what they are; another clock makes other velocities of them.
@@ -157,7 +157,7 @@ def minimise_window(
             state,
             Material(simulator.cloth.energies.parameters, stiffness),
             torch.from_numpy(given.forces)[None],
-            torch.from_numpy(anchors)[None],
+            torch.from_numpy(boundary)[None],
             frame_steps,
             None if guess is None else torch.from_numpy(guess)[None],
             linearize=linearize,

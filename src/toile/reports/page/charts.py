@@ -108,7 +108,7 @@ def losses(columns: Mapping[str, npt.NDArray[np.float64]], cycles: npt.NDArray[n
     return _taller_where_narrow(plain(figure, 300), len(columns))
 
 
-def field_maps(field: ClothField, upright: Upright, held: npt.NDArray[np.bool_]) -> go.Figure:
+def field_maps(field: ClothField, upright: Upright, pinned: npt.NDArray[np.bool_]) -> go.Figure:
     """Three maps: mean over time on the cloth, the current frame on the cloth, rows of the cloth over time.
 
     On a narrow screen the third stands below the others.
@@ -116,13 +116,13 @@ def field_maps(field: ClothField, upright: Upright, held: npt.NDArray[np.bool_])
     Args:
         field: values (F, H, W).
         upright: how the cloth lies in the image.
-        held: (H, W), marked in the maps of the cloth.
+        pinned: (H, W), marked in the maps of the cloth.
     """
-    return with_narrow(_field_maps(field, upright, held), _field_maps(field, upright, held, narrow=True))
+    return with_narrow(_field_maps(field, upright, pinned), _field_maps(field, upright, pinned, narrow=True))
 
 
 def _field_maps(
-    field: ClothField, upright: Upright, held: npt.NDArray[np.bool_], *, narrow: bool = False
+    field: ClothField, upright: Upright, pinned: npt.NDArray[np.bool_], *, narrow: bool = False
 ) -> go.Figure:
     values = upright(field.values)
     frame = len(values) // 2
@@ -153,14 +153,14 @@ def _field_maps(
             row=at[k][0],
             col=at[k][1],
         )
-    rows, columns = np.nonzero(upright(held))
+    rows, columns = np.nonzero(upright(pinned))
     for k in (1, 2):
         figure.add_scatter(
             x=columns,
             y=rows,
             mode="markers",
             marker={"symbol": "circle-open", "size": 8, "color": INK, "line": {"width": 1.5}},
-            hovertemplate="held<extra></extra>",
+            hovertemplate="pinned<extra></extra>",
             showlegend=False,
             cliponaxis=False,
             row=1,

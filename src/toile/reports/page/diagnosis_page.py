@@ -42,7 +42,7 @@ from toile.reports.page.charts import field_maps
 from toile.reports.page.diagnosis_charts import alias_matrix, held_out, mean_map, over_time
 from toile.reports.page.document import document, figure, number, section, table, warning_box, with_unit
 from toile.reports.page.viewer import Video, viewer
-from toile.reports.run_report import OBSERVED_SIZE, held_vertices
+from toile.reports.run_report import OBSERVED_SIZE, pinned_vertices
 from toile.scenes.scene import Scene
 
 LIKELY = 0.01
@@ -278,8 +278,8 @@ class DiagnosisPage:
         heading = section("Where on the cloth", shown.replace("reconstructed grid", "tracked grid"))
         if gap is None:
             return [heading]
-        chart = field_maps(gap, upright, held_vertices(scene))
-        note = f"{escape(gap.note)} Seen as the cloth lies in frame 0; circles are held vertices."
+        chart = field_maps(gap, upright, pinned_vertices(scene))
+        note = f"{escape(gap.note)} Seen as the cloth lies in frame 0; circles are pinned vertices."
         maps = figure(chart, "map-gap", {"cursors": "1", "field": "gap"})
         return [heading, section("How far the base model strays", maps, note=note)]
 
@@ -436,7 +436,7 @@ def _estimates(parameters: dict[str, Estimate]) -> str:
 
 def _bounds(estimate: Estimate) -> str:
     if estimate.low == estimate.high:
-        # Held there by the sign that it must have: no interval was estimated.
+        # Pinned there by the sign that it must have: no interval was estimated.
         return "at its bound"
     low, high = number(estimate.low), number(estimate.high)
     return f"{low} to {high}" if low != high else f"± {number(0.5 * (estimate.high - estimate.low))}"

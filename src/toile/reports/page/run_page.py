@@ -85,7 +85,7 @@ class ResultPage:
         ground_truth: ground-truth points (N_f, 3) [m], one array per frame.
         error: on the cloth, or what stands in for it; colours the cloth.
         force: on the cloth.
-        held: vertices held by something (H, W), bool.
+        pinned: pinned vertices (H, W), bool.
         video: pictures of every frame.
         parameters: fitted and assumed quantities.
         history: one row per optimisation cycle.
@@ -106,7 +106,7 @@ class ResultPage:
     ground_truth: Sequence[npt.NDArray[np.floating]] | None = None
     error: ClothField | None = None
     force: ClothField | None = None
-    held: npt.NDArray[np.bool_] | None = None
+    pinned: npt.NDArray[np.bool_] | None = None
     video: Video | None = None
     parameters: Sequence[ReportedParameter] = ()
     history: pd.DataFrame | None = None
@@ -194,8 +194,8 @@ class ResultPage:
     def _maps(self, shown: ClothField | None, upright: Upright) -> str:
         if shown is None:
             return ""
-        held = np.zeros(shown.values.shape[1:], dtype=bool) if self.held is None else self.held
-        chart = field_maps(shown, upright, held)
+        pinned = np.zeros(shown.values.shape[1:], dtype=bool) if self.pinned is None else self.pinned
+        chart = field_maps(shown, upright, pinned)
         return figure(chart, f"map-{shown.key}", {"cursors": "1", "field": shown.key})
 
     def _errors(self) -> str:
@@ -278,7 +278,7 @@ def headline_metrics(evaluation: EvaluationResult | None) -> list[Metric]:
 def _note(shown: ClothField | None) -> str:
     if shown is None:
         return ""
-    turned = "Seen as the cloth lies in the first frame; circles are held vertices."
+    turned = "Seen as the cloth lies in the first frame; circles are pinned vertices."
     return f"{escape(shown.note)} {turned}"
 
 

@@ -53,7 +53,7 @@ def simulated(*effects) -> torch.Tensor:
     motion = simulate_reality(
         sheet(),
         effects,
-        held_motion=draw_motion(np.random.default_rng(1)),
+        pinned_motion=draw_motion(np.random.default_rng(1)),
         gravity=torch.tensor([0.0, 9.81, 0.0], dtype=torch.float64),
         wind=torch.tensor([0.3, 0.0, 2.0], dtype=torch.float64),
         n_frames=N,
@@ -73,7 +73,7 @@ def twin() -> torch.Tensor:
 def reference(twin: torch.Tensor) -> Reference:
     s = sheet()
     gravity = torch.tensor([0.0, 9.81, 0.0], dtype=torch.float64)
-    return Reference(twin, SIZE, gravity, FPS, tuple(s.cloth.held.tolist()))
+    return Reference(twin, SIZE, gravity, FPS, tuple(s.cloth.pinned.tolist()))
 
 
 MOVING = [name for name, kind in REALITY_EFFECTS.items() if kind.MEASURE is Measure.MOTION]
@@ -119,8 +119,8 @@ def test_contact_stays_outside(twin, reference) -> None:
 def test_slip_moves_one_corner_in_jumps(reference) -> None:
     slip = reality_effect("anchor_slip")(np.random.default_rng(5), reference)
     times = torch.linspace(0, reference.duration, 200, dtype=torch.float64)
-    path = slip.anchors(times)[:, slip.corner] @ slip.direction
-    assert float(slip.anchors(times)[:, 1 - slip.corner].abs().max()) == 0.0
+    path = slip.boundary(times)[:, slip.corner] @ slip.direction
+    assert float(slip.boundary(times)[:, 1 - slip.corner].abs().max()) == 0.0
     assert float(path[0]) == 0.0
     assert float(path.diff().min()) > -1e-15
     assert slip.where(places_on(GRID)).any()

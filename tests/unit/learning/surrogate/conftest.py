@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from toile.learning.surrogate.forces import ForceSampler
-from toile.learning.surrogate.held_corners import HeldCornerSampler
+from toile.learning.surrogate.pinned_corners import PinnedCornerSampler
 from toile.learning.surrogate.materials import MaterialRanges
 from toile.learning.surrogate.module import SurrogateTraining
 from toile.learning.surrogate.pool import Pool, PoolSettings
@@ -27,7 +27,7 @@ POOL = PoolSettings(
     materials=MaterialRanges((10.0, 1e4), (0.01, 10.0), (0.001, 10.0)),
     rest_shapes=RestShapeSampler(0.04),
     forces=ForceSampler((0.001, 0.7), 0.7, 1.0, 4, 0.95),
-    held_corners=HeldCornerSampler((0.05, 0.1, 0.75, 0.1), 0.3, 0.3, 0.97),
+    pinned_corners=PinnedCornerSampler((0.05, 0.1, 0.75, 0.1), 0.3, 0.3, 0.97),
     bdf2_share=0.5,
     noise=0.01,
     noise_share=0.5,

@@ -74,15 +74,15 @@ def test_predictions_continue_a_steady_motion(make_pool: MakePool) -> None:
         torch.testing.assert_close(start[inside], expected[inside], atol=1e-4, rtol=0)
 
 
-def test_held_vertices_start_at_their_anchors(make_pool: MakePool) -> None:
+def test_pinned_vertices_start_at_their_boundary_positions(make_pool: MakePool) -> None:
     pool = moved(make_pool(noise_share=1.0, noise=0.1), 3)
     problem = pool.problem(ALL)
-    assert torch.equal((problem.free == 0).sum((1, 2)), pool.states.held.sum(1))
+    assert torch.equal((problem.free == 0).sum((1, 2)), pool.states.pinned.sum(1))
     before, again = pool.states.history[:, 0], pool.problem(ALL)
     for b, i, j in (problem.free == 0).nonzero().tolist():
         starts = problem.starts[b, :, i, j]
         assert torch.equal(starts, starts[:1].expand_as(starts))
-        assert torch.equal(again.starts[b, 0, i, j], starts[0]), "noise leaves anchors alone"
+        assert torch.equal(again.starts[b, 0, i, j], starts[0]), "noise leaves boundary positions alone"
         assert (starts[0] - before[b, i, j]).norm() < 1.0
 
 
@@ -92,8 +92,8 @@ def test_a_stiff_cloth_is_not_torn(make_pool: MakePool) -> None:
     for _ in range(60):
         pool.advance(everyone, pool.problem(everyone).starts[:, FALL])
     x = pool.states.history[:, 0]
-    held = pool.states.held
-    top = held[:, 0] & held[:, 1]
+    pinned = pool.states.pinned
+    top = pinned[:, 0] & pinned[:, 1]
     length = pool.states.rest_lengths_j[:, 0].sum(-1)
     assert top.any()
     assert ((x[:, 0, 0] - x[:, 0, -1]).norm(dim=-1)[top] <= 1.05 * length[top]).all()

@@ -10,7 +10,7 @@ import torch
 from toile.errors import InputError
 from toile.learning.surrogate.distributions import log_uniform, rotations
 from toile.learning.surrogate.forces import ForceSampler, acceleration_field
-from toile.learning.surrogate.held_corners import HeldCornerSampler, border_lengths, within_reach
+from toile.learning.surrogate.pinned_corners import PinnedCornerSampler, border_lengths, within_reach
 from toile.learning.surrogate.materials import MaterialRanges
 from toile.learning.surrogate.rest_shapes import RestShapeSampler
 
@@ -100,18 +100,18 @@ def test_the_field_has_the_coarse_values_at_its_corners(generator) -> None:
     torch.testing.assert_close(field[:, -1, 0], steady + turbulence[:, -1, 0], atol=1e-5, rtol=1e-5)
 
 
-def test_shares_of_held_corners(generator) -> None:
-    held = HeldCornerSampler((0.05, 0.1, 0.75, 0.1), 0.3, 0.3, 0.97).sample_held(N, generator)
-    count = held.sum(1)
+def test_shares_of_pinned_corners(generator) -> None:
+    pinned = PinnedCornerSampler((0.05, 0.1, 0.75, 0.1), 0.3, 0.3, 0.97).sample_pinned(N, generator)
+    count = pinned.sum(1)
     for n, share in zip((0, 1, 2, 3, 4), (0.05, 0.1, 0.75, 0.0, 0.1), strict=True):
         assert (count == n).float().mean().item() == pytest.approx(share, abs=0.03)
-    two = held[count == 2]
-    assert (two & two.roll(1, 1)).any(1).all(), "two held corners are neighbours"
+    two = pinned[count == 2]
+    assert (two & two.roll(1, 1)).any(1).all(), "two pinned corners are neighbours"
     assert two.float().mean(0).std() < 0.03, "every side alike"
 
 
 def test_corner_velocities_keep_their_scale(generator) -> None:
-    sampler = HeldCornerSampler((0.0, 0.0, 1.0, 0.0), 0.3, 0.3, 0.9)
+    sampler = PinnedCornerSampler((0.0, 0.0, 1.0, 0.0), 0.3, 0.3, 0.9)
     speed = sampler.sample_speed(torch.full((N,), 0.25), generator)
     assert speed.max() <= 0.3 * 0.5
     constant = torch.full((N,), 0.1)
@@ -123,13 +123,13 @@ def test_corner_velocities_keep_their_scale(generator) -> None:
     assert between == pytest.approx(0.1 * 0.3 * 2**0.5, rel=0.05)
 
 
-def test_held_corners_stay_within_reach(generator) -> None:
+def test_pinned_corners_stay_within_reach(generator) -> None:
     corners = torch.randn(500, 4, 3, generator=generator) * 6
     lengths = torch.full((500, 4), 5.0)
-    held = torch.zeros(500, 4, dtype=torch.bool)
-    assert torch.equal(within_reach(corners, held, lengths), corners)
-    held[:, :2] = True
-    pulled = within_reach(corners, held, lengths)
+    pinned = torch.zeros(500, 4, dtype=torch.bool)
+    assert torch.equal(within_reach(corners, pinned, lengths), corners)
+    pinned[:, :2] = True
+    pulled = within_reach(corners, pinned, lengths)
     distance = (pulled[:, 0] - pulled[:, 1]).norm(dim=-1)
     assert distance.max() <= 5.0 + 1e-4
     assert torch.equal(pulled[:, 2:], corners[:, 2:])
@@ -151,7 +151,7 @@ def test_border_lengths_go_round() -> None:
 def test_unusable_settings_are_refused() -> None:
     with pytest.raises(InputError, match="scatter"):
         RestShapeSampler(0.5)
-    with pytest.raises(InputError, match="held corners"):
-        HeldCornerSampler((0.5, 0.5, 0.5, 0.5), 0.3, 0.3, 0.97)
+    with pytest.raises(InputError, match="pinned corners"):
+        PinnedCornerSampler((0.5, 0.5, 0.5, 0.5), 0.3, 0.3, 0.97)
     with pytest.raises(InputError, match="turbulence"):
         ForceSampler((0.001, 0.7), 0.7, 1.0, 1, 0.95)

@@ -1,4 +1,4 @@
-"""Small steps with everything in them: bent cloth, scattered rest lengths, held corners, uneven forces."""
+"""Small steps with everything in them: bent cloth, scattered rest lengths, pinned corners, uneven forces."""
 
 import pytest
 import torch

@@ -44,9 +44,9 @@ def move(simulator, steps=30, scale=1.0):
     x = flat()
     material = grid_material(*(scale * torch.tensor([k], dtype=torch.float64) for k in (100.0, 3e-4, 3e-5)))
     forces = (simulator.cloth.masses[:, None] * GRAVITY).expand(1, steps, -1, -1).contiguous()
-    anchors = x[:, None, simulator.cloth.held].expand(1, steps + 1, -1, -1).contiguous()
+    boundary = x[:, None, simulator.cloth.pinned].expand(1, steps + 1, -1, -1).contiguous()
     state = State.start(x, 0 * x, simulator.time_step, simulator.n_past)
-    return rollout(simulator, state, material, forces, anchors, 1)
+    return rollout(simulator, state, material, forces, boundary, 1)
 
 
 @pytest.mark.parametrize("integrator", [BackwardEuler(), BDF2()])

@@ -83,11 +83,11 @@ def test_the_potential_never_rises_above_the_best_start(surrogate):
         assert (problem.potential(x) <= start + 1e-3 * start.abs() + 1e-4).all()
 
 
-def test_held_vertices_stay(surrogate, problem):
+def test_pinned_vertices_stay(surrogate, problem):
     x, r = surrogate.solve(problem, 2)
-    held = problem.free == 0
-    assert torch.equal(x[held], problem.starts[:, 0][held])
-    assert (r[held] == 0).all()
+    pinned = problem.free == 0
+    assert torch.equal(x[pinned], problem.starts[:, 0][pinned])
+    assert (r[pinned] == 0).all()
 
 
 def test_the_loss_has_the_gradient_of_the_potential_behind_the_relaxation(surrogate):

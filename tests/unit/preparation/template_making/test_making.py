@@ -58,7 +58,7 @@ def points_surface(file: Path, axes: Axes = OPENCV) -> PointsSurface:
 
 
 def made(still: Still, surface, layout: Layout = ANY_SIZE, **changes):
-    settings = {"name": "bent", "held_vertices": None, "gravity": (0, 9.81, 0), "minimum_iou": 0.8}
+    settings = {"name": "bent", "pinned_vertices": None, "gravity": (0, 9.81, 0), "minimum_iou": 0.8}
     return make_template(still, surface, layout, **(settings | changes))
 
 
@@ -74,7 +74,7 @@ def test_mesh_gives_the_grid_of_equal_edges(still, curved_sheet, mesh_file) -> N
     assert result.surface.to_surface.max() < 1e-6
     assert result.surface.to_template.max() < 0.002
     assert result.iou > 0.97
-    assert result.scene.held_vertices == (0, (SHAPE[0] - 1) * SHAPE[1])
+    assert result.scene.pinned_vertices == (0, (SHAPE[0] - 1) * SHAPE[1])
 
 
 def test_noisy_points_give_nearly_the_same_grid(still, curved_sheet, tmp_path) -> None:
@@ -121,10 +121,10 @@ def test_given_corners_choose_the_first_vertex(still, curved_sheet, mesh_file) -
     grid = curved_sheet.grid(*SHAPE)
     pixels = still.camera.project(torch.from_numpy(grid)).numpy()
     turned = pixels[[-1, -1, 0, 0], [0, -1, -1, 0]]  # from the upper right on
-    result = made(still, mesh_surface(mesh_file), Layout((13, 16), None, turned), held_vertices=[0])
+    result = made(still, mesh_surface(mesh_file), Layout((13, 16), None, turned), pinned_vertices=[0])
     found = result.scene.template.numpy()
     assert np.abs(found - grid.transpose(1, 0, 2)[:, ::-1]).max() < 0.001
-    assert result.scene.held_vertices == (0,)
+    assert result.scene.pinned_vertices == (0,)
     for wrong, said in (
         (turned[::-1], "clockwise"),
         (turned + 60, "not on the outline"),
@@ -235,9 +235,9 @@ class TestWhatIsRefused:
         with pytest.raises(InputError, match="Too few points"):
             made(still, points_surface(cloud_file(curved_sheet.noisy_points(100), tmp_path)))
 
-    def test_held_vertex_out_of_range(self, still, mesh_file) -> None:
+    def test_pinned_vertex_out_of_range(self, still, mesh_file) -> None:
         with pytest.raises(InputError, match="out of range"):
-            made(still, mesh_surface(mesh_file), held_vertices=[SHAPE[0] * SHAPE[1]])
+            made(still, mesh_surface(mesh_file), pinned_vertices=[SHAPE[0] * SHAPE[1]])
 
 
 class TestFlatSheet:

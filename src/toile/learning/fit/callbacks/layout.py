@@ -65,7 +65,7 @@ def fit_layout(columns: Iterable[str], *, chamfer: bool) -> Layout:
     charts["forces"] = {
         "wind x, y, z [m/s²]": _chart(*_matching("wind ", names)),
         "turbulence rms [m/s²]": _chart("turbulence rms [m/s²]"),
-        "anchor motion rms [mm]": _chart("anchor motion rms [mm]"),
+        "boundary motion rms [mm]": _chart("boundary motion rms [mm]"),
     }
     charts["work"] = {"time per cycle [s]": _chart("seconds"), "frames covered": _chart("frames")}
     iterations = [c for c in names if c.endswith("iterations")]

@@ -1,4 +1,4 @@
-"""Held cloth: equilibrium, tension, convergence in the time step, energy, failures, reproducibility."""
+"""Pinned cloth: equilibrium, tension, convergence in the time step, energy, failures, reproducibility."""
 
 import numpy as np
 import pytest
@@ -22,9 +22,9 @@ def one(value):
 MATERIAL = grid_material(one(60.0), one(3e-4), one(3e-5))
 
 
-def make(grid, size, held, bend=0.0):
-    """A cloth in the x-y plane, y down, held along its top, with a small wave in z."""
-    cloth = grid_cloth(grid, size, 0.2, held)
+def make(grid, size, pinned, bend=0.0):
+    """A cloth in the x-y plane, y down, pinned along its top, with a small wave in z."""
+    cloth = grid_cloth(grid, size, 0.2, pinned)
     i, j = torch.meshgrid(
         torch.linspace(0, size[0], grid[0], dtype=torch.float64),
         torch.linspace(0, size[1], grid[1], dtype=torch.float64),
@@ -40,37 +40,37 @@ def gravity(cloth, n, direction=(0.0, 1.0, 0.0)):
 
 
 def still(x, cloth, n_frames):
-    return x[:, None, cloth.held].expand(1, n_frames, -1, -1).contiguous()
+    return x[:, None, cloth.pinned].expand(1, n_frames, -1, -1).contiguous()
 
 
-def run(cloth, x, h, integrator, n_frames, forces=None, anchors=None, substeps=1, material=MATERIAL, **more):
+def run(cloth, x, h, integrator, n_frames, forces=None, boundary=None, substeps=1, material=MATERIAL, **more):
     settings = more.pop("settings", NewtonSettings(tolerance=1e-9))
     simulator = ImplicitSimulator(cloth, h, integrator, settings)
     state = State.start(x, torch.zeros_like(x), h, simulator.n_past)
     forces = gravity(cloth, n_frames - 1) if forces is None else forces
-    anchors = still(x, cloth, n_frames) if anchors is None else anchors
-    return rollout(simulator, state, material, forces, anchors, substeps, **more)
+    boundary = still(x, cloth, n_frames) if boundary is None else boundary
+    return rollout(simulator, state, material, forces, boundary, substeps, **more)
 
 
 def internal_energy(cloth, x, material=MATERIAL):
     return cloth.energies.energy(x, cloth.energies.coefficients(material.values))
 
 
-@pytest.mark.parametrize(("grid", "held"), [((9, 2), (0, 1)), ((7, 4), tuple(range(4)))])
-def test_a_hanging_strip_carries_the_weight_below(grid, held):
-    """Held along its whole top row: no force out of balance, and every edge carries what hangs below it."""
-    cloth, x = make(grid, (0.4, 0.05 * (grid[1] - 1)), held)
+@pytest.mark.parametrize(("grid", "pinned"), [((9, 2), (0, 1)), ((7, 4), tuple(range(4)))])
+def test_a_hanging_strip_carries_the_weight_below(grid, pinned):
+    """Pinned along its whole top row: no force out of balance, and every edge carries what hangs below it."""
+    cloth, x = make(grid, (0.4, 0.05 * (grid[1] - 1)), pinned)
     rest = run(cloth, x, 1.0, BackwardEuler(), 40).positions[:, -1]
     # out-of-balance force, by the pure energies
     y = rest.clone().requires_grad_()
     (gradient,) = torch.autograd.grad(internal_energy(cloth, y).sum(), y)
     weight = gravity(cloth, 1)[:, 0]
     free = torch.ones(cloth.n_vertices, dtype=torch.bool)
-    free[cloth.held] = False
+    free[cloth.pinned] = False
     assert (weight - gradient)[:, free].abs().max() <= 1e-6 * weight.max()
 
     # What the holding hand feels is the weight of all that hangs from it, no more and no less.
-    reaction = gradient[0, cloth.held].sum(0)
+    reaction = gradient[0, cloth.pinned].sum(0)
     hanging = weight[0, free].sum(0)
     torch.testing.assert_close(-reaction, hanging, rtol=1e-6, atol=1e-6 * float(hanging.max()))
 
@@ -95,7 +95,7 @@ SWING = {}
 
 
 def swing(integrator, n):
-    """End of a swing of 0.16 s in n steps: two corners held, a force that comes and goes smoothly."""
+    """End of a swing of 0.16 s in n steps: two corners pinned, a force that comes and goes smoothly."""
     key = (type(integrator).__name__, n)
     if key not in SWING:
         cloth, x = make((5, 4), (0.2, 0.15), (0, 3))
@@ -115,7 +115,7 @@ def test_converges_in_the_time_step(integrator, order):
 
 
 def test_two_steps_of_bdf2_keep_more_energy_than_four_of_backward_euler():
-    """Pendulum swing of a cloth held along its top: total mechanical energy after 0.5 s."""
+    """Pendulum swing of a cloth pinned along its top: total mechanical energy after 0.5 s."""
     lost = {}
     for name, integrator, substeps in (("BE", BackwardEuler(), 4), ("BDF2", BDF2(), 2)):
         cloth, x = make((6, 5), (0.3, 0.24), tuple(range(5)), bend=0.002)
@@ -139,16 +139,16 @@ def test_two_steps_of_bdf2_keep_more_energy_than_four_of_backward_euler():
 
 
 @pytest.mark.parametrize("integrator", [BackwardEuler(), BDF2()])
-@pytest.mark.parametrize("held", [(), (0,), (0, 11), tuple(range(12)), (3, 40, 83)])
-def test_held_vertices_follow_their_anchors_exactly(integrator, held):
-    cloth, x = make((7, 12), (0.3, 0.5), held, bend=0.01)
+@pytest.mark.parametrize("pinned", [(), (0,), (0, 11), tuple(range(12)), (3, 40, 83)])
+def test_pinned_vertices_follow_their_boundary_exactly(integrator, pinned):
+    cloth, x = make((7, 12), (0.3, 0.5), pinned, bend=0.01)
     n = 5
-    anchors = still(x, cloth, n).clone()
-    anchors[..., 2] += 0.01 * torch.arange(n, dtype=torch.float64)[None, :, None] ** 2
-    motion = run(cloth, x, 1 / 60, integrator, n, anchors=anchors, substeps=2)
-    assert torch.equal(motion.positions[:, 1:, cloth.held], anchors[:, 1:])
-    middle = torch.lerp(anchors[:, :-1], anchors[:, 1:], 0.5)
-    assert torch.equal(motion.all_positions[:, 1::2, cloth.held], middle)
+    boundary = still(x, cloth, n).clone()
+    boundary[..., 2] += 0.01 * torch.arange(n, dtype=torch.float64)[None, :, None] ** 2
+    motion = run(cloth, x, 1 / 60, integrator, n, boundary=boundary, substeps=2)
+    assert torch.equal(motion.positions[:, 1:, cloth.pinned], boundary[:, 1:])
+    middle = torch.lerp(boundary[:, :-1], boundary[:, 1:], 0.5)
+    assert torch.equal(motion.all_positions[:, 1::2, cloth.pinned], middle)
     assert all(s.status == (StepStatus.CONVERGED,) for s in motion.steps)
 
 
@@ -165,24 +165,24 @@ def test_too_few_iterations_are_reported_with_frame_and_advice():
     assert motion.steps[0].residual[0] > 0
 
 
-@pytest.mark.parametrize("where", ["force", "held force", "position", "stiffness", "anchor"])
+@pytest.mark.parametrize("where", ["force", "pinned force", "position", "stiffness", "boundary"])
 def test_nan_is_never_silent(where):
     cloth, x = make((5, 4), (0.2, 0.15), (0, 3))
-    forces, anchors, material = gravity(cloth, 2), still(x, cloth, 3), MATERIAL
+    forces, boundary, material = gravity(cloth, 2), still(x, cloth, 3), MATERIAL
     if where == "force":
         forces[0, 1, 7, 2] = torch.nan
-    elif where == "held force":
+    elif where == "pinned force":
         forces[0, 1, 0, 2] = torch.nan
     elif where == "position":
         x = x.clone()
         x[0, 9] = torch.nan
-    elif where == "anchor":
-        anchors[0, 1, 0, 0] = torch.nan
+    elif where == "boundary":
+        boundary[0, 1, 0, 0] = torch.nan
     else:
         material = grid_material(one(torch.nan), one(3e-4), one(3e-5))
     with pytest.raises(SimulationError, match="not finite"):
-        run(cloth, x, 1 / 60, BDF2(), 3, forces, anchors, material=material)
-    motion = run(cloth, x, 1 / 60, BDF2(), 3, forces, anchors, material=material, throw=False)
+        run(cloth, x, 1 / 60, BDF2(), 3, forces, boundary, material=material)
+    motion = run(cloth, x, 1 / 60, BDF2(), 3, forces, boundary, material=material, throw=False)
     assert StepStatus.NOT_FINITE in [s.status[0] for s in motion.steps]
 
 
@@ -223,9 +223,9 @@ def test_buckling_under_moving_corners_converges():
     """Approaching corners push flat cloth out of its plane; one step per frame, on soft cloth."""
     cloth, x = make((12, 12), (0.3, 0.3), (0, 11), bend=1e-3)
     n = 8
-    anchors = still(x, cloth, n).clone()
-    anchors[:, :, 0, 0] += 0.008 * torch.arange(n, dtype=torch.float64)
+    boundary = still(x, cloth, n).clone()
+    boundary[:, :, 0, 0] += 0.008 * torch.arange(n, dtype=torch.float64)
     material = grid_material(one(100.0), one(1e-4), one(3e-6))
-    motion = run(cloth, x, 1 / 30, BDF2(), n, anchors=anchors, material=material, settings=NewtonSettings())
+    motion = run(cloth, x, 1 / 30, BDF2(), n, boundary=boundary, material=material, settings=NewtonSettings())
     assert motion.positions[0, -1, :, 2].std() > 5e-3
     assert all(s.residual[0] <= 1e-6 * float(cloth.masses.max()) * G for s in motion.steps)

@@ -1,4 +1,4 @@
-"""Which corners are held, and how they are moved about."""
+"""Which corners are pinned, and how they are moved about."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ _SWEEPS = 3  # pulling one pair together pushes the next apart; a few rounds set
 
 
 @dataclass(frozen=True)
-class HeldCornerSampler:
-    """Held corners and their velocities, an Ornstein–Uhlenbeck process.
+class PinnedCornerSampler:
+    """Pinned corners and their velocities, an Ornstein–Uhlenbeck process.
 
     Corners go round the cloth: (0, 0), (0, W-1), (H-1, W-1), (H-1, 0).
 
     Attributes:
-        shares: of cloths with 0, 1, 2 and 4 held corners; two are neighbours.
+        shares: of cloths with 0, 1, 2 and 4 pinned corners; two are neighbours.
         speed: largest standard deviation of a velocity component / root of gravity, in network units; the
             square of a uniform number makes rest more frequent.
         individual: of the speed, what each corner has for itself beside the motion they share.
@@ -38,14 +38,14 @@ class HeldCornerSampler:
         good = len(self.shares) == 4 and min(self.shares) >= 0 and abs(sum(self.shares) - 1) < 1e-6
         if not good or not 0 <= self.persistence <= 1:
             raise InputError(
-                "The held corners are unusable",
-                where="held_corners",
+                "The pinned corners are unusable",
+                where="pinned_corners",
                 expected="four shares that sum to 1, persistence from 0 to 1",
                 got=f"{self.shares}, {self.persistence}",
             )
 
-    def sample_held(self, n: int, generator: torch.Generator) -> Tensor:
-        """Whether each corner is held, (n, 4) bool."""
+    def sample_pinned(self, n: int, generator: torch.Generator) -> Tensor:
+        """Whether each corner is pinned, (n, 4) bool."""
         bounds = torch.tensor(self.shares, device=generator.device).cumsum(0)[:-1]
         kind = torch.bucketize(uniform(n, generator), bounds, right=True)
         count = torch.tensor((0, 1, 2, 4), device=generator.device)[kind]
@@ -82,14 +82,14 @@ def border_lengths(rest_lengths_i: Tensor, rest_lengths_j: Tensor) -> Tensor:
     return torch.stack((top, right, bottom, left), -1)
 
 
-def within_reach(corners: Tensor, held: Tensor, lengths: Tensor) -> Tensor:
-    """Move neighbouring held corners together where the border between them is too short.
+def within_reach(corners: Tensor, pinned: Tensor, lengths: Tensor) -> Tensor:
+    """Move neighbouring pinned corners together where the border between them is too short.
 
     A stiff cloth would otherwise be torn, which no video shows.
 
     Args:
         corners: (n, 4, 3), positions.
-        held: (n, 4) bool.
+        pinned: (n, 4) bool.
         lengths: (n, 4), of the border from each corner to the next.
 
     Returns:
@@ -100,7 +100,7 @@ def within_reach(corners: Tensor, held: Tensor, lengths: Tensor) -> Tensor:
         b = (a + 1) % N_CORNERS
         apart = place[a] - place[b]
         distance = apart.norm(dim=-1).clamp(min=1e-6)
-        excess = (1 - lengths[:, a] / distance).clamp(min=0) * (held[:, a] & held[:, b])
+        excess = (1 - lengths[:, a] / distance).clamp(min=0) * (pinned[:, a] & pinned[:, b])
         shift = 0.5 * excess[:, None] * apart
         place[a], place[b] = place[a] - shift, place[b] + shift
     return torch.stack(place, 1)
