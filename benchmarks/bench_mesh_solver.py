@@ -79,7 +79,9 @@ def swing(cloth: Cloth, x: Tensor, simulator: ImplicitSimulator, *, linearize: b
     waist = x[cloth.pinned]
     boundary = waist.repeat(FRAMES, 1, 1)
     angle = 0.3 * (1 - torch.cos(8 * t))[:, None]
-    boundary[..., 0] = waist[:, 0] * angle.cos() + waist[:, 2] * angle.sin() + 0.05 * torch.sin(6 * t)[:, None]
+    boundary[..., 0] = (
+        waist[:, 0] * angle.cos() + waist[:, 2] * angle.sin() + 0.05 * torch.sin(6 * t)[:, None]
+    )
     boundary[..., 2] = waist[:, 2] * angle.cos() - waist[:, 0] * angle.sin()
     gravity = torch.tensor([0.0, 9.81, 0.0], dtype=torch.float64)
     forces = (cloth.masses[:, None] * gravity).expand(1, FRAMES - 1, -1, 3)

@@ -1,8 +1,8 @@
 """Speed of the implicit solver: its parts, Newton steps cold and warm, adjoints and tangents.
 
 ``python benchmarks/bench_solver.py [--grid 32] [--substeps 1 2 4] [--threads 1] [--csv table.csv]`` prints a
-Markdown table. The scene: a cloth of 0.55 m side pinned at two corners that sway and come closer, released from
-a smooth bend, 16 frames at 30 Hz, BDF2.
+Markdown table. The scene: a cloth of 0.55 m side pinned at two corners that sway and come closer, released
+from a smooth bend, 16 frames at 30 Hz, BDF2.
 """
 
 from __future__ import annotations

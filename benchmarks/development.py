@@ -25,10 +25,10 @@ from toile.cli.diagnose import diagnose_scene
 from toile.diagnosis.decision import Calibration, Weights, probabilities
 from toile.diagnosis.diagnose import SCREENING_FILE, TRACKED_FILE, DiagnosisSettings
 from toile.diagnosis.record import DIAGNOSIS_FILE, GapReport
-from toile.generation.reality.base_scene import RealitySettings
-from toile.generation.reality.blind_set import PlannedScene, write_opaque
-from toile.generation.reality.from_blender import make_with_blender, why_no_blender
-from toile.generation.reality.making import SceneRequest, make_scene
+from toile.generation.out_of_family.base_scene import OutOfFamilySettings
+from toile.generation.out_of_family.blind_set import PlannedScene, write_opaque
+from toile.generation.out_of_family.from_blender import make_with_blender, why_no_blender
+from toile.generation.out_of_family.making import SceneRequest, make_scene
 
 FOLDER = Path("outputs/development")
 TABLE = Path("docs/results/diagnosis_development.md")
@@ -46,12 +46,12 @@ _MOVING = (
     "strain_stiffening",
 )
 _OUTSIDE = (("vortex", "vortex_field"), ("creases", "plastic_creases"), ("press", "internal_pressure"))
-_REALITY = RealitySettings(templates=tuple(f"R{k}" for k in range(2, 10)))  # as in the blind sets
+_OUT_OF_FAMILY = OutOfFamilySettings(templates=tuple(f"R{k}" for k in range(2, 10)))  # as in the blind sets
 _BLENDER = ("air_drag", "gusts", "internal_damping", "frame_rate", "gravity_tilt")
 
 
 def planned() -> list[PlannedScene]:
-    """Those of the package's own reality first."""
+    """Those of the package's out-of-family generator first."""
     own = [(f"n{k}", (), 9200 + k) for k in (1, 2, 3, 4)]
     own += [(f"{e}_m", ((e, "medium"),), 9100 + k) for k, e in enumerate(_MOVING)]
     own += [(f"{e}_s", ((e, "strong"),), 9110 + k) for k, e in enumerate((*_MOVING, "anchor_slip"))]
@@ -71,7 +71,7 @@ def make(scene: PlannedScene) -> None:
     if scene.generator == "blender":
         made = make_with_blender(scene, small=False)
     else:
-        made = make_scene(_REALITY, SceneRequest(scene.name, scene.effects, scene.seed))
+        made = make_scene(_OUT_OF_FAMILY, SceneRequest(scene.name, scene.effects, scene.seed))
     if not (FOLDER / "scenes" / scene.name).exists():
         write_opaque(made.scene, FOLDER / "scenes" / scene.name)
     path = FOLDER / "truth" / f"{scene.name}.npz"
@@ -139,7 +139,7 @@ def table(scenes: list[PlannedScene], runs: Path) -> str:
     null = rows[rows["effect"] == "none"]
     named = int((single["answer"] == single["effect"]).sum())
     first = int((single["rank of its evidence"] == "1").sum())
-    pinned = sum(t in c.split(", ") for t, c in zip(single["effect"], single["candidates"], strict=True))
+    within = sum(t in c.split(", ") for t, c in zip(single["effect"], single["candidates"], strict=True))
     left = len(planned()) - len(scenes)
     naive = int((single["naive answer"] == single["effect"]).sum())
     return (
@@ -148,7 +148,7 @@ def table(scenes: list[PlannedScene], runs: Path) -> str:
         "their own (`benchmarks/development.py`). They chose settings and calibration: "
         "**they are no test.**\n\n"
         f"Of {len(single)} scenes with one effect that moves the cloth, {named} are named (naive: {naive}), "
-        f"{pinned} have it in the 90 % set, and in {first} its evidence is the strongest of these effects'; of "
+        f"{within} have it in the 90 % set, and in {first} its evidence is the strongest of them; of "
         f"{len(null)} nulls {int((null['answer'] == 'none').sum())} are `none`. {left} of the planned scenes "
         "were not run.\n\n" + rows.to_markdown(index=False) + "\n"
     )

@@ -203,7 +203,9 @@ def problem(effects: FitEffects, stiffness: Array, wind: Sequence[float]) -> Rec
     times = torch.arange(scene.n_frames, dtype=torch.float64) / scene.fps
     with torch.no_grad():
         parameters.wind.copy_(torch.tensor(wind))
-        parameters.boundary_motion.copy_(SETTINGS.pinned_motion.displacement(times)[:, None].expand(-1, 2, -1))
+        parameters.boundary_motion.copy_(
+            SETTINGS.pinned_motion.displacement(times)[:, None].expand(-1, 2, -1)
+        )
 
     def simulator(cloth, step, terms=()):  # type: ignore[no-untyped-def]
         return ImplicitSimulator(cloth, step, BDF2(), NewtonSettings(tolerance=1e-6), terms)

@@ -151,7 +151,7 @@ CASES = [
     Case(
         SETS,
         "other settings for an existing set",
-        ("blind", "make", *BLIND, "reality.n_frames=7"),
+        ("blind", "make", *BLIND, "out_of_family.n_frames=7"),
         says=("set",),
         want=Want.REFUSAL,
         keeps=(f"{BLIND_SET}/set.json",),

@@ -22,13 +22,13 @@ from torch import Tensor
 
 from toile.learning.surrogate.distributions import normal, uniform
 from toile.learning.surrogate.forces import Accelerations, ForceSampler, acceleration_field
+from toile.learning.surrogate.materials import MaterialRanges
 from toile.learning.surrogate.pinned_corners import (
     PinnedCornerSampler,
     border_lengths,
     corner_indices,
     within_reach,
 )
-from toile.learning.surrogate.materials import MaterialRanges
 from toile.learning.surrogate.rest_shapes import RestShapes, RestShapeSampler
 from toile.physics.cloth import Cloth, grid_cloth, grid_material, template_rest_lengths
 from toile.physics.implicit.integrators import BDF2, BackwardEuler, Integrator

@@ -42,7 +42,9 @@ def reference(case: Case, folder: Path) -> Reference:
     simulator = solver(case.cloth, case.time_step, case.integrator)
     failure, positions = "", torch.zeros(0)
     try:
-        motion = rollout(simulator, case.start(simulator.n_past), case.material, case.forces, case.boundary, 1)
+        motion = rollout(
+            simulator, case.start(simulator.n_past), case.material, case.forces, case.boundary, 1
+        )
         positions = motion.positions[0]
     except SimulationError as error:
         failure = str(error).partition(" (")[0]

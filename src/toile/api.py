@@ -408,8 +408,8 @@ def simulate(
         wind: constant force per mass beside gravity, (3,) [m/s²].
         turbulence: force over an interior vertex's mass, (F-1, H, W, 3) [m/s²]; entry t acts between frame t
             and frame t + 1. None for none.
-        boundary_motion: displacement of the n pinned vertices from the template, (F, n, 3) [m]; None holds them
-            still.
+        boundary_motion: displacement of the n pinned vertices from the template, (F, n, 3) [m]; None holds
+            them still.
         effects: what acts beside that, with their values, e.g. ``[AirDrag({"normal": 0.5})]``.
         settings: of ``cloth`` and ``simulator`` in ``toile fit``, e.g. ``{"simulator.substeps": 4}``.
 

@@ -59,12 +59,12 @@ def broken(scene, out, settings):
 
 SMALL = (
     "blind=tiny",
-    "reality.grid=[6,6]",
-    "reality.n_frames=6",
-    "reality.substeps=3",
-    "reality.image_side=40",
-    "reality.texture_side=40",
-    "reality.largest_grid_share=20",
+    "out_of_family.grid=[6,6]",
+    "out_of_family.n_frames=6",
+    "out_of_family.substeps=3",
+    "out_of_family.image_side=40",
+    "out_of_family.texture_side=40",
+    "out_of_family.largest_grid_share=20",
 )
 SET, PREDICTIONS, KEY = (
     Path("outputs/blind/tiny"),

@@ -135,7 +135,7 @@ BAD = [
     ("template", "minimum_iou=2", "minimum_iou", "a number >= 0 and <= 1", "2"),
     ("evaluate", "n_frames=0", "n_frames", "a whole number >= 1 [frames], or null", "0"),
     ("report", "pictures=many", "pictures", "a whole number >= 0 [frames]", "the text 'many'"),
-    ("blind", "reality.fps=-25", "reality.fps", "a number > 0 [1/s]", "-25"),
+    ("blind", "out_of_family.fps=-25", "out_of_family.fps", "a number > 0 [1/s]", "-25"),
     ("blind", "alias=1.5", "alias", "a number >= 0 and <= 1", "1.5"),
 ]
 

@@ -80,7 +80,9 @@ def scene(simulator, frames=4, seeds=(0,)):
         x[..., 2] += 0.01 * torch.sin(20 * x[..., 0] + (5 + seed) * x[..., 1])
         noise = torch.randn(1, frames - 1, 30, 3, generator=generator, dtype=torch.float64)
         forces = cloth.masses[:, None] * (torch.tensor([0.0, 9.81, 0.0]).double() + noise)
-        path = torch.randn(1, frames, len(cloth.pinned), 3, generator=generator, dtype=torch.float64).cumsum(1)
+        path = torch.randn(1, frames, len(cloth.pinned), 3, generator=generator, dtype=torch.float64).cumsum(
+            1
+        )
         boundary = x[:, None, cloth.pinned] + 0.002 * path
         stiffness = torch.tensor([60.0, 3e-4, 2e-5], dtype=torch.float64) * (1 + 0.3 * seed)
         velocities = 0.05 * torch.randn(1, 30, 3, generator=generator, dtype=torch.float64)
@@ -244,7 +246,9 @@ def test_wrong_shapes_are_told(make, name):
 def test_frames_of_forces_and_boundary_must_agree(make):
     simulator = make()
     state, material, forces, boundary = scene(simulator, frames=4)
-    with pytest.raises(ValueError, match="boundary positions: expected 3 frames as given by the forces, got 4"):
+    with pytest.raises(
+        ValueError, match="boundary positions: expected 3 frames as given by the forces, got 4"
+    ):
         rollout(simulator, state, material, forces[:, :2], boundary, 1)
 
 

@@ -80,7 +80,9 @@ def problem(scene: Scene, effects: FitEffects) -> Reconstruction:
     with torch.no_grad():
         parameters.wind.copy_(torch.tensor([1.0, 0.0, 2.0]))
         parameters.turbulence.add_(torch.randn(parameters.turbulence.shape, generator=generator))
-        parameters.boundary_motion.add_(2e-3 * torch.randn(parameters.boundary_motion.shape, generator=generator))
+        parameters.boundary_motion.add_(
+            2e-3 * torch.randn(parameters.boundary_motion.shape, generator=generator)
+        )
     return made
 
 

@@ -73,7 +73,9 @@ def problem(inside: Scene) -> Reconstruction:
     with torch.no_grad():
         parameters.wind.copy_(torch.tensor([2.0, 0.0, 3.0]))
         parameters.turbulence.add_(torch.randn(parameters.turbulence.shape, generator=generator))
-        parameters.boundary_motion.add_(2e-3 * torch.randn(parameters.boundary_motion.shape, generator=generator))
+        parameters.boundary_motion.add_(
+            2e-3 * torch.randn(parameters.boundary_motion.shape, generator=generator)
+        )
     return problem
 
 

@@ -165,7 +165,8 @@ def test_adjoint_equals_autograd(integrator, substeps):
         zip(NAMES, torch.autograd.grad((g * motion.positions[0]).sum(), tuple(given.values())), strict=True)
     )
     adjoint = LinearizedRollout(simulator, motion).adjoint(g.numpy())
-    # LinearizedRollout ties the pinned vertices of frame 0 to their boundary positions; autograd tells them apart.
+    # LinearizedRollout ties the pinned vertices of frame 0 to their boundary positions; autograd tells them
+    # apart.
     pinned = simulator.cloth.pinned
     expected = {k: v[0].clone() for k, v in auto.items()}
     expected["boundary"][0] += expected["positions"][pinned]

@@ -148,7 +148,7 @@ def test_small_strains_are_those_of_linear_elasticity(membrane: type[Membrane]) 
 
 @MEMBRANES
 def test_a_hanging_sheet_stretches_as_a_rod_under_its_weight(membrane: type[Membrane]) -> None:
-    """Pinned along the top, no lateral contraction: the lower side sinks by ρ g L² / (2 Y), to first order."""
+    """Pinned along the top, no lateral contraction: the lower side sinks by ρ g L² / (2 Y) at first order."""
     length, young = 0.5, 2000.0
     expected = DENSITY * G * length**2 / (2 * young)
     errors = []

@@ -31,6 +31,7 @@ from toile.diagnosis.verdict import VerdictSettings, verdict_of
 from toile.effects.base import Stage
 from toile.effects.catalogue import CATALOGUE, MOVING, STAGES
 from toile.errors import InputError
+from toile.former_names import EVIDENCE_COLUMNS, renamed
 from toile.limits import Count, Finite, NonNegative, Positive
 
 KINDS = (MOVING, (Stage.CAMERA, Stage.OBSERVATION), (Stage.APPEARANCE,))
@@ -92,7 +93,8 @@ def measured(run: Path) -> pd.DataFrame:
         InputError: the folder has no such measurements.
     """
     try:
-        with np.load(run / SCREENING_FILE) as stored:
+        with np.load(run / SCREENING_FILE) as file:
+            stored = renamed(file, EVIDENCE_COLUMNS)
             columns = {
                 "effect": stored["names"].tolist(),
                 "in_sample": stored["in_sample"],
@@ -223,8 +225,9 @@ def read_table(path: Path, made_with: MadeWith) -> pd.DataFrame:
     try:
         # A name or a digest may look like a number.
         texts = dict.fromkeys((*_MEASURED[:3], _SETTINGS), str)
-        numbers = dict.fromkeys(_MEASURED[3:], float)
+        numbers = dict.fromkeys((*_MEASURED[3:], *EVIDENCE_COLUMNS), float)
         table = pd.read_csv(path, keep_default_na=False, na_values=[""], dtype={**texts, **numbers})
+        table = table.rename(columns=EVIDENCE_COLUMNS)
         missing = [column for column in _MEASURED if column not in table]
         if missing:
             raise ValueError(f"no column {', '.join(missing)}")

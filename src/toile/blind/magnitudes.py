@@ -4,15 +4,18 @@ The generators have effects in forms of their own, so most of their numbers have
 catalogue. These have one:
 
 - ``frame_rate``: logarithm of true over nominal time between frames
-- ``focal_error``: relative error (the generated reality's two axes differ by less than 5 % of it)
-- ``lens_distortion``: radial term of second order (the reality's lens has a tangential part beside it)
+- ``focal_error``: relative error (the out-of-family generator's two axes differ by less than 5 % of it)
+- ``lens_distortion``: radial term of second order (the out-of-family generator's lens has a tangential part
+beside it)
 - ``mask_bias``: mean growth [px]; ``motion_blur``: exposure over the frame interval
 - ``shading``: D l / (mean brightness of frame 0) across the viewing direction, for a light that stays; along
   it brightness changes in second order only
 - ``gravity_tilt``: angle; ``anchor_slip``: distance once the slip is over
-- ``anisotropic_stiffness``: logarithms of both ratios, of the reality; Blender's is one of spring lengths
-- ``internal_damping``: relaxation time of bending, of the reality, whose other times depend on the rate
-- ``rest_curvature``: curvature of Blender's rolled sheet; the reality's is a band
+- ``anisotropic_stiffness``: logarithms of both ratios, of the out-of-family generator; Blender's is one of
+spring lengths
+- ``internal_damping``: relaxation time of bending, of the out-of-family generator, whose other times depend
+on the rate
+- ``rest_curvature``: curvature of Blender's rolled sheet; the out-of-family generator's is a band
 
 Other laws altogether, with no common number: ``air_drag`` (|v|^1.5 instead of linear and quadratic),
 ``gusts`` (noise and pulses instead of cosines), ``strain_stiffening`` (exponential instead of quadratic),
@@ -92,7 +95,7 @@ def _truths(name: str, sealed: Sealed) -> dict[tuple[str, ...], float]:
     if label.get("generator") == "blender":
         forms = _BLENDER.get(name, {})
     else:
-        forms = _REALITY.get(name, {})
+        forms = _OUT_OF_FAMILY.get(name, {})
         own = {**own.get(name, {}), **label.get("comparable", {}).get(name, {})}
         if name == "shading" and "light" in own:
             own["mean"] = _mean_brightness(own, sealed)
@@ -104,7 +107,7 @@ def _truths(name: str, sealed: Sealed) -> dict[tuple[str, ...], float]:
 
 _Forms = Mapping[str, Mapping[tuple[str, ...], Callable[[Mapping[str, Any]], float]]]
 
-_REALITY: _Forms = {
+_OUT_OF_FAMILY: _Forms = {
     "frame_rate": {("log_factor",): lambda own: math.log(own["interval_ratio"])},
     "focal_error": {("relative",): lambda own: own["ratio"] - 1},
     "lens_distortion": {("k1",): lambda own: own["k1"]},
@@ -122,7 +125,7 @@ _REALITY: _Forms = {
         ("y",): lambda own: own["lambert"] * own["light"][1] / own["mean"],
     },
 }
-"""Labels of the package's own reality in numbers of the catalogue."""
+"""Labels of the package's out-of-family generator in numbers of the catalogue."""
 
 _BLENDER: _Forms = {
     # A camera that is faster than declared leaves less time between frames.

@@ -32,10 +32,11 @@ from numpy.typing import NDArray
 
 from toile.atomic_file import write_text, written_atomically
 from toile.errors import InputError
+from toile.former_names import GENERATORS, SET_KEYS, renamed
 from toile.json_file import read_json_object
 
 # Keys of set.json that anything depends on.
-_DESCRIBED = {"composition": str, "reality": dict, "blind": bool, "key": str, "scenes": list}
+_DESCRIBED = {"composition": str, "out_of_family": dict, "blind": bool, "key": str, "scenes": list}
 SCHEME = "sha256(label bytes + nonce bytes)"
 KEY_SUFFIX = ".blindkey"
 _KEY_HEADER = "toile blind key "
@@ -207,7 +208,7 @@ class BlindSet:
             InputError: this is no set.
         """
         try:
-            values = read_json_object(self.description)
+            values = renamed(read_json_object(self.description), SET_KEYS)
             missing = [key for key in _DESCRIBED if not isinstance(values.get(key), _DESCRIBED[key])]
             if missing:
                 raise ValueError(f"nothing usable under {', '.join(missing)}")
@@ -262,7 +263,10 @@ class BlindSet:
                 expected=str(committed.get(name)),
                 got=commitment(label, nonce),
             )
-        return Sealed(json.loads(label), arrays["vertices"], arrays["twin"])
+        described = json.loads(label)
+        if "generator" in described:
+            described["generator"] = GENERATORS.get(described["generator"], described["generator"])
+        return Sealed(described, arrays["vertices"], arrays["twin"])
 
     def commit(self, key: SealKey, names: tuple[str, ...]) -> Path:
         """Write commitments.json from the sealed labels."""

@@ -26,8 +26,8 @@ from toile.cli.configuration import instantiate
 from toile.cli.failures import CommandError
 from toile.cli.terminal import print_path
 from toile.errors import InputError
-from toile.generation.reality.base_scene import RealitySettings
-from toile.generation.reality.blind_set import (
+from toile.generation.out_of_family.base_scene import OutOfFamilySettings
+from toile.generation.out_of_family.blind_set import (
     Composition,
     PlannedScene,
     full_composition,
@@ -36,8 +36,8 @@ from toile.generation.reality.blind_set import (
     tiny_composition,
     write_opaque,
 )
-from toile.generation.reality.from_blender import can_make, make_with_blender, why_no_blender
-from toile.generation.reality.making import SceneRequest, make_scene
+from toile.generation.out_of_family.from_blender import can_make, make_with_blender, why_no_blender
+from toile.generation.out_of_family.making import SceneRequest, make_scene
 from toile.scenes.registry import available_scenes
 
 _COMPOSITIONS: dict[str, Callable[[], Composition]] = {
@@ -68,7 +68,7 @@ def run(cfg: DictConfig) -> None:
 
 
 def make_one(
-    planned: PlannedScene, setup: RealitySettings, blind: BlindSet, key: SealKey, *, small: bool
+    planned: PlannedScene, setup: OutOfFamilySettings, blind: BlindSet, key: SealKey, *, small: bool
 ) -> str:
     """Make one scene and seal its label; nothing happens if both are there. Returns its name."""
     if blind.is_made(planned.name):
@@ -88,7 +88,7 @@ def make_one(
 
 def _make(cfg: DictConfig, blind: BlindSet) -> None:
     key = _key_of(cfg, blind)
-    setup, notes = _reality(cfg)
+    setup, notes = _out_of_family(cfg)
     composition = _COMPOSITIONS.get(str(cfg.composition))
     if composition is None:
         raise InputError(
@@ -174,9 +174,9 @@ def _key_of(cfg: DictConfig, blind: BlindSet) -> SealKey:
     return key
 
 
-def _reality(cfg: DictConfig) -> tuple[RealitySettings, list[str]]:
-    """Settings of the reality with the templates that are there, and notes on those that are not."""
-    setup: RealitySettings = instantiate(cfg.reality)(data=str(cfg.paths.data))
+def _out_of_family(cfg: DictConfig) -> tuple[OutOfFamilySettings, list[str]]:
+    """The generator's settings with the templates that are there, and notes on those that are not."""
+    setup: OutOfFamilySettings = instantiate(cfg.out_of_family)(data=str(cfg.paths.data))
     known = set(available_scenes(cfg.paths.data)) if setup.templates else set()
     there = tuple(name for name in setup.templates if name in known)
     notes = []
@@ -189,17 +189,17 @@ def _reality(cfg: DictConfig) -> tuple[RealitySettings, list[str]]:
 def _with_blender_where_possible(
     scenes: tuple[PlannedScene, ...], *, wanted: bool
 ) -> tuple[tuple[PlannedScene, ...], list[str]]:
-    """Scenes with Blender's share made by the package's own reality where Blender is not there."""
+    """Scenes with Blender's share made by our own generator where Blender is not there."""
     planned = [s for s in scenes if s.generator == "blender"]
     reason = "it was not wanted (blender=false)" if not wanted else why_no_blender() if planned else ""
     unable = {s.name for s in planned if reason or not can_make(s)}
     notes = []
     if unable:
         notes.append(
-            f"{len(unable)} scenes meant for Blender come from the package's own reality: "
+            f"{len(unable)} scenes meant for Blender come from the package's out-of-family generator: "
             + (reason or "Blender does not offer their effects")
         )
-    changed = tuple(replace(s, generator="reality") if s.name in unable else s for s in scenes)
+    changed = tuple(replace(s, generator="toile") if s.name in unable else s for s in scenes)
     return changed, notes
 
 
@@ -212,7 +212,7 @@ def _describe(
         "name": str(cfg.name),
         "version": __version__,
         "composition": str(cfg.composition),
-        "reality": _plain(cfg.reality),
+        "out_of_family": _plain(cfg.out_of_family),
         "blind": cfg.seed is None,
         "key": key.fingerprint,
         "notes": notes,
@@ -222,7 +222,7 @@ def _describe(
         before = blind.read_description()
         common = min(len(before["scenes"]), len(names))
         others = before["scenes"][:common] != list(names)[:common]
-        if others or before["reality"] != values["reality"] or before["key"] != key.fingerprint:
+        if others or before["out_of_family"] != values["out_of_family"] or before["key"] != key.fingerprint:
             raise InputError(
                 "The folder holds another set",
                 where=str(blind.folder),

@@ -8,6 +8,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from toile import former_names
+
 _NO_KEY = re.compile(r"Could not override '([^']+)'")
 _NO_CHOICE = re.compile(r"Could not find '([^']+)/([^'/]+)'")
 
@@ -34,9 +36,12 @@ def suggestion(error: Exception, command: str, arguments: Sequence[str]) -> str:
     if not (key or choice):
         return ""
     wrong = key.group(1) if key else choice.group(1) if choice else ""
+    name = wrong.partition("@")[0]
+    if former_names.setting(name) != name:
+        return f"\nIt is called {former_names.setting(name)} now"
     cfg, groups = _without(wrong, command, arguments)
     if key:
-        near = _near_key(wrong.partition("@")[0], cfg, groups)
+        near = _near_key(name, cfg, groups)
     else:
         assert choice is not None
         near = next(iter(difflib.get_close_matches(choice.group(2), groups.get(wrong, []), n=1)), "")

@@ -1,6 +1,7 @@
 """A pinned vertex that slips through its attachment, from where the pinned vertices were tracked.
 
-Pinned vertices are mostly pinned by one body, so what they do relative to each other is small or slow: a share of
+Pinned vertices are mostly pinned by one body, so what they do relative to each other is small or slow: a
+    share of
 their common motion, slow sway of two hands, and errors of tracking, which drift and are far larger along the
 rays of the camera than across. A slip is a relative displacement that comes within a short time and stays.
 """
@@ -101,15 +102,16 @@ def slip_evidence(
 
     Every vertex is judged by its displacement relative to the mean of the others, so what all do together
     does not matter. All unknowns but the sizes are Gaussian; sizes of errors and of sway, vertex, start and
-    duration are averaged over, so trying them is penalised for. With two pinned vertices their relative motion
-    alone does not tell which one slips; the pull and the one that departs more from its own path decide.
+    duration are averaged over, so trying them is penalised for. With two pinned vertices their relative
+    motion alone does not tell which one slips; the pull and the one that departs more from its own path
+    decide.
 
     Args:
         effect: gives the prior deviations of the displacement; its vertex, start and duration do not matter.
         positions: tracked pinned positions (F, n_pinned, 3) [m] in the camera's frame.
         fps: frames per second.
-        pull: direction (n_pinned, 3) in which the cloth pulls at each of them; an attachment only gives way to it.
-            None if unknown.
+        pull: direction (n_pinned, 3) in which the cloth pulls at each of them; an attachment only gives way
+            to it. None if unknown.
         settings: see GripSettings.
 
     Returns:
@@ -219,7 +221,7 @@ def _solved(positions: Array, vertex: int, fps: float, shapes: Array, settings: 
 
 
 def _gains(solved: _Solved, roots: Array) -> tuple[Array, Array, Array]:
-    """Log evidence (h, k), mean and covariance of standardised displacements; roots (h, 3, 3) make them metres."""
+    """Log evidence (h, k), mean, covariance of standardised displacements; roots (h, 3, 3) make metres."""
     b = np.einsum("hba,hkb->hka", roots, solved.slope)
     H = np.eye(3) + np.einsum("hba,hkbc,hcd->hkad", roots, solved.information, roots)
     V = np.linalg.inv(H)

@@ -1,4 +1,4 @@
-"""Fit of the base model: stiffness and wind for the clip, starts, boundary positions and smooth forces by window."""
+"""Fit of the base model: stiffness and wind for the clip, starts, boundary and smooth forces by window."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def window_bounds(n_frames: int, window: int) -> list[tuple[int, int]]:
 
 
 def local_scales(shooting: Shooting, n: int) -> Array:
-    """What turns the local columns of Shooting.normal into white ones (n_local,)."""
+    """What turns the local columns of Shooting.normal into standardised ones (n_local,)."""
     settings = shooting.settings
     return shooting.deviations(n, settings.force, settings.external) / shooting.deviations(n, 1.0, 1.0)
 
@@ -128,7 +128,7 @@ def fit_base(
         windows, values = _sweep(shooting, start_positions, stiffness, values, windows, n_frames, report)
     # What was learnt on the way holds for the windows before as well.
     base = base_of(stiffness, values)
-    windows = list(workers.map(lambda w: shooting.simulate(w, w.white, base), windows))
+    windows = list(workers.map(lambda w: shooting.simulate(w, w.standardised, base), windows))
     return improved(shooting, windows, stiffness, values, report, passes, workers)
 
 
@@ -230,7 +230,9 @@ def window_systems(
         external = shooting.external(n)
         pushed = np.arange(len(external)) >= shooting.layout(n)[1]
         systems.append(
-            WindowSystem(G, g, window.white, pushed & ~external, external, fitted_discrepancy(shooting), link)
+            WindowSystem(
+                G, g, window.standardised, pushed & ~external, external, fitted_discrepancy(shooting), link
+            )
         )
     return systems
 
@@ -258,8 +260,8 @@ def changed_windows(
 
     def changed(item: tuple[WindowMotion, Array]) -> WindowMotion:
         window, change = item
-        white = window.white + change / local_scales(shooting, window.last - window.first)
-        return shooting.simulate(window, white, base, effects, around)
+        standardised = window.standardised + change / local_scales(shooting, window.last - window.first)
+        return shooting.simulate(window, standardised, base, effects, around)
 
     return list(workers.map(changed, list(zip(windows, changes, strict=True))))
 
@@ -292,11 +294,11 @@ def _sweep(
     for index, (first, last) in enumerate(window_bounds(n_frames, s.window)):
         n = last - first
         scales = local_scales(shooting, n)
-        white = before[index].white.copy() if before else np.zeros(shooting.layout(n)[2])
+        standardised = before[index].standardised.copy() if before else np.zeros(shooting.layout(n)[2])
         # Where the window starts has been learnt by the window before.
-        white[: 2 * shooting.n_fields] = 0.0
-        window = WindowMotion(first, last, state, white)
-        window = shooting.simulate(window, white, base_of(stiffness, values))
+        standardised[: 2 * shooting.n_fields] = 0.0
+        window = WindowMotion(first, last, state, standardised)
+        window = shooting.simulate(window, standardised, base_of(stiffness, values))
         prior = precision.copy()
         about = mean.copy()
 
@@ -312,7 +314,7 @@ def _sweep(
             H = L[:, None] * G * L
             right = -L * g
             H[N_BASE:, N_BASE:] += np.eye(len(scales))
-            right[N_BASE:] -= window.white
+            right[N_BASE:] -= window.standardised
             inner = positive_factor(H[N_BASE:, N_BASE:])
             information = H[:N_BASE, :N_BASE] - H[:N_BASE, N_BASE:] @ cho_solve(inner, H[N_BASE:, :N_BASE])
             H[:N_BASE, :N_BASE] += prior
@@ -322,7 +324,7 @@ def _sweep(
             for _ in range(s.window_steps):
                 trial_values = values + length * step[:N_BASE]
                 trial = shooting.simulate(
-                    window, window.white + length * step[N_BASE:], base_of(stiffness, trial_values)
+                    window, window.standardised + length * step[N_BASE:], base_of(stiffness, trial_values)
                 )
                 trial_cost = total(trial, trial_values)
                 if trial.converged and trial_cost < cost:

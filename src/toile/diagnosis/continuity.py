@@ -58,7 +58,7 @@ class WindowSystem:
 
     Attributes:
         matrix, gradient: of the image term, local force columns in m/s².
-        white: current local unknowns in units of the base fit's deviations.
+        standardised: current local unknowns in units of the base fit's deviations.
         internal, external: which local columns are forces of that kind (n_local,).
         fitted: deviations of the forces in the base fit.
         link: to the window before; without one the start has a prior of its own.
@@ -66,7 +66,7 @@ class WindowSystem:
 
     matrix: Array
     gradient: Array
-    white: Array
+    standardised: Array
     internal: NDArray[np.bool_]
     external: NDArray[np.bool_]
     fitted: Discrepancy
@@ -74,7 +74,7 @@ class WindowSystem:
 
     def with_shared(self, kept: Sequence[int]) -> WindowSystem:
         """The same with some of the shared columns."""
-        n = len(self.gradient) - len(self.white)
+        n = len(self.gradient) - len(self.standardised)
         at = np.array([*kept, *range(n, len(self.gradient))])
         link = self.link
         if link is not None:
@@ -110,7 +110,7 @@ class Joined:
     def __init__(
         self, systems: Sequence[WindowSystem], size: Discrepancy, damping: float | Array = 0.0
     ) -> None:
-        n = len(systems[0].gradient) - len(systems[0].white)
+        n = len(systems[0].gradient) - len(systems[0].standardised)
         shared, right = np.zeros((n, n)), np.zeros(n)
         constant = 0.0
         self._steps: list[_Eliminated] = []
@@ -171,9 +171,9 @@ class Joined:
         found: list[Array] = []
         following = np.zeros(0)
         for step in reversed(self._steps):
-            white = step.half[:, n] - step.half[:, :n] @ shared
-            white -= step.half_next @ following[: step.half_next.shape[1]]
-            following = solve_triangular(step.factor, white, lower=True, trans=1)
+            standardised = step.half[:, n] - step.half[:, :n] @ shared
+            standardised -= step.half_next @ following[: step.half_next.shape[1]]
+            following = solve_triangular(step.factor, standardised, lower=True, trans=1)
             found.append(step.scale * following)
         return found[::-1]
 
@@ -202,9 +202,9 @@ class _Eliminated:
 
 
 def _scaled(s: WindowSystem, size: Discrepancy) -> tuple[Array, Array]:
-    """Prior deviations of the local columns and their present white values, at a size of the discrepancy."""
-    scale = np.ones(len(s.white))
-    fitted = np.ones(len(s.white))
+    """Prior deviations of the local columns and their standardised values, at a size of the discrepancy."""
+    scale = np.ones(len(s.standardised))
+    fitted = np.ones(len(s.standardised))
     for kind, now, then in zip((s.internal, s.external), size, s.fitted, strict=True):
         scale[kind], fitted[kind] = now, then
-    return scale, s.white * fitted / scale
+    return scale, s.standardised * fitted / scale

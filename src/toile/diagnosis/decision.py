@@ -128,6 +128,7 @@ class Calibration:
         made_with = None if found.settings is None else MadeWith(found.settings)
         if made_with is not None and found.settings_digest != made_with.digest:
             raise _wrong(path, f"settings_digest {found.settings_digest} of other settings than those listed")
+        made_with = made_with and made_with.with_present_names()
         return Calibration(
             found.usual,
             found.spread,

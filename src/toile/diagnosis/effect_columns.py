@@ -65,13 +65,13 @@ def derivatives(function: Callable[[Effect], Tensor], effect: Effect) -> Array:
     Columns of the Jacobian by two reverse passes: Jᵀw is linear in w, and its derivative by w is J.
     """
     scales = effect.scales
-    white = (effect.values / scales).detach().clone().requires_grad_()
+    standardised = (effect.values / scales).detach().clone().requires_grad_()
     with torch.enable_grad():
-        value = function(effect.with_values(white * scales))
+        value = function(effect.with_values(standardised * scales))
         if not value.requires_grad:
             return np.zeros((len(scales), *value.shape))
         weights = torch.zeros_like(value).requires_grad_()
-        (pulled,) = torch.autograd.grad((value * weights).sum(), white, create_graph=True)
+        (pulled,) = torch.autograd.grad((value * weights).sum(), standardised, create_graph=True)
         columns = [
             torch.autograd.grad(pulled[k], weights, retain_graph=True, allow_unused=True)[0]
             for k in range(len(scales))

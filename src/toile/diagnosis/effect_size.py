@@ -23,9 +23,9 @@ def effect_size(mechanics: Mechanics, model: Refit) -> float:
     acting = (acting_with(effect, within_bounds(effect, model.mean)),)
     away = []
     for window in model.windows:
-        without = shooting.simulate(window, window.white, model.base)
+        without = shooting.simulate(window, window.standardised, model.base)
         try:
-            there = shooting.simulate(window, window.white, model.base, acting, mechanics.around)
+            there = shooting.simulate(window, window.standardised, model.base, acting, mechanics.around)
         except FloatingPointError:
             # So strong that a step blows up here; the refit's own numbers did not.
             there = window

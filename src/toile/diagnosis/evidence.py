@@ -55,8 +55,8 @@ class EvidenceSettings:
     Attributes:
         internal: deviations of an internal force mode that are tried [m/s²].
         external: of an external one.
-        prior_inflation: factor on the prior deviations of an effect's numbers: those say how large a number usually
-            is, not how large it can be.
+        prior_inflation: factor on the prior deviations of an effect's numbers: those say how large a number
+            usually is, not how large it can be.
         many: numbers of an effect from which on their common scale is found.
         scales: shares of the usual one that are tried for it, and penalised.
         forbidden: log evidence taken from an effect all of whose signs are impossible.
@@ -109,7 +109,7 @@ class Evidence:
         self.deviations = deviations
         self.settings = settings
         self.prior_inflation = settings.prior_inflation
-        self.n_shared = len(systems[0].gradient) - len(systems[0].white)
+        self.n_shared = len(systems[0].gradient) - len(systems[0].standardised)
         self.numbers = np.zeros(self.n_shared - self.n_base) if numbers is None else numbers
         self._like = like
         self._reduced: dict[Discrepancy, Reduced] = {}
@@ -195,7 +195,7 @@ class Evidence:
         return free - self._at((), size, penalised=False).log_evidence
 
     def fisher(self, size: Discrepancy) -> Array:
-        """Information on all effect columns with base, starts, boundary positions and discrepancy integrated out."""
+        """Information on all effect columns with base, starts, boundary and discrepancy integrated out."""
         reduced = self.reduced(size)
         b = self.n_base
         A = reduced.matrix[:b, :b] + np.diag(self.deviations**-2)
@@ -257,18 +257,18 @@ class Evidence:
         H = np.eye(len(index)) + scale[:, None] * reduced.matrix[np.ix_(index, index)] * scale
         factor = positive_factor(H)
         right = scale * reduced.right[index] - mean
-        white = cho_solve(factor, right)
-        value = reduced.constant - reduced.determinant + 0.5 * right @ white - 0.5 * mean @ mean
+        standardised = cho_solve(factor, right)
+        value = reduced.constant - reduced.determinant + 0.5 * right @ standardised - 0.5 * mean @ mean
         if penalised:
             value -= np.log(np.diag(factor[0])).sum()
         covariance = scale[:, None] * cho_solve(factor, np.diag(scale))
         b = self.n_base
-        found = numbers + (scale * white)[b:]
+        found = numbers + (scale * standardised)[b:]
         return Posterior(float(value), size, found, covariance[b:, b:], tuple(columns), prior_inflation)
 
 
 def sign_penalty(lowest: Array) -> float:
-    """What an effect is penalised for the choice of numbers that are not at their bounds, see Evidence.signed.
+    """Penalty of an effect for the choice of numbers that are not at their bounds, see Evidence.signed.
 
     Args:
         lowest: 0 where a number cannot be negative, -inf elsewhere.

@@ -23,8 +23,8 @@ def n_balanced(pinned: Array, size: float, tolerance: float = TOLERANCE) -> int:
     Args:
         pinned: positions of the pinned vertices (n_pinned, 3) [m].
         size: of the cloth [m].
-        tolerance: singular value of resultants and torques (over the size) of unit forces at the holders, below
-            which a direction counts as free.
+        tolerance: singular value of resultants and torques (over the size) of unit forces at the holders,
+            below which a direction counts as free.
     """
     return int(6 - (np.linalg.svd(_reactions(pinned, size), compute_uv=False) > tolerance).sum())
 

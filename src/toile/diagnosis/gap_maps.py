@@ -60,9 +60,9 @@ def gap_maps(mechanics: Mechanics) -> GapMaps:
     away = np.zeros(tracked.shape[:2])
     compared = np.zeros(len(tracked), bool)
     for window in fit.windows:
-        white = window.white.copy()
-        white[shooting.layout(window.last - window.first)[1] :] = 0.0
-        free = shooting.simulate(window, white, fit.base)
+        standardised = window.standardised.copy()
+        standardised[shooting.layout(window.last - window.first)[1] :] = 0.0
+        free = shooting.simulate(window, standardised, fit.base)
         frames = free.positions[:: shooting.substeps]
         for i in range(1, len(frames)):
             f = window.first + i

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from toile import former_names
 from toile.atomic_file import write_text
 from toile.errors import InputError
 
@@ -99,7 +100,11 @@ class MadeWith:
                 expected=f"{MADE_WITH_FILE} of toile diagnose; diagnose the scene again",
                 got=f"{type(error).__name__}: {error}",
             ) from error
-        return found
+        return found.with_present_names()
+
+    def with_present_names(self) -> MadeWith:
+        """The same where settings have had other names before."""
+        return MadeWith(former_names.settings(self.settings))
 
     def _said(self, name: str) -> str:
         if name not in self.settings:

@@ -108,7 +108,7 @@ def _finer_windows(
         between = np.stack((near[:-1], 0.5 * (near[:-1] + near[1:])), 1).reshape(-1, *near.shape[1:])
         reference = _with_half_past(window.reference, H)
         window = replace(window, reference=reference, positions=np.concatenate((between, near[-1:])))
-        return finer.simulate(window, window.white, base)
+        return finer.simulate(window, window.standardised, base)
 
     return list(workers.map(simulated, windows))
 

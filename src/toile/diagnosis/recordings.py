@@ -9,8 +9,8 @@ from toile.effects.catalogue import MOVING, STAGES
 _BY_EFFECT = {
     "gravity_tilt": "the same cloth with a plumb line in view",
     "gusts": "the same cloth indoors with windows and doors closed",
-    "air_drag": "two clips, one with slow and one with fast motion of the pinned corners, in still air",
-    "internal_damping": "two clips, one with slow and one with fast motion of the pinned corners, in still air",
+    "air_drag": "two clips, one with slow, one with fast motion of the pinned corners, in still air",
+    "internal_damping": "two clips, one with slow, one with fast motion of the pinned corners, in still air",
     "frame_rate": "a running stopwatch in view",
     "focal_error": "a ruler, or a calibration board, held in the plane of the cloth",
     "lens_distortion": "a calibration board that fills the image",

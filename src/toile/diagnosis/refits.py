@@ -36,8 +36,8 @@ class RefitSettings:
     """When passes that bring to convergence the base model and fit effects end, and how far one goes.
 
     Attributes:
-        least_score: linearised screening score (log evidence to first order) from which on an effect is tried. Below zero, as what is weak
-            to first order may be strong.
+        least_score: linearised screening score (log evidence to first order) from which on an effect is
+            tried. Below zero, as what is weak to first order may be strong.
         little: a pass of the base refit that lowers the cost by less than this is the last one.
         converged: log evidence by which a pass of a refit may change it and be the last one.
         longest_wind: change of the wind in one pass at most [m/s²]; of stiffness see ShootingSettings.

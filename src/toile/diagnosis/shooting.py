@@ -1,4 +1,4 @@
-"""Multiple shooting: short simulations with starts, boundary positions and forces of their own, stiffness shared.
+"""Multiple shooting: short simulations with starts, boundary and forces of their own, stiffness shared.
 
 Long rollouts amplify every error, so the clip is cut into windows. Within one, the cloth moves by its own
 equations; what may differ from them is a force field with few, smooth modes in space and time, whose size is
@@ -55,7 +55,8 @@ class ShootingSettings:
         wind: of each horizontal component [m/s²].
         force: of each mode of the force per mass while the base is fitted [m/s²].
         external: of those among them that disturb the balance of torques [m/s²]; see force_modes.
-        likelihood_weight: in the image term, whose errors are not independent from point to point; 1 if they were.
+        likelihood_weight: in the image term, whose errors are not independent from point to point; 1 if they
+            were.
         holding: what a direction must have of the holders' forces not to count as free, see n_balanced.
         tension_ridge: of the tension that the template has already, see template_tension.
         newton_tolerance: out-of-balance force over the weight of a vertex that a simulated sub-step leaves:
@@ -123,7 +124,7 @@ class WindowMotion:
     Attributes:
         first, last: frames.
         reference: state at ``first`` that the offsets refer to.
-        white: local unknowns in units of their deviations (n_local,).
+        standardised: local unknowns in units of their deviations (n_local,).
         positions: of all sub-steps [(last - first) substeps + 1, N, 3].
         start, end: states at ``first`` and ``last`` as simulated.
         converged: whether every step did.
@@ -132,7 +133,7 @@ class WindowMotion:
     first: int
     last: int
     reference: State
-    white: Array
+    standardised: Array
     positions: Array = field(default_factory=lambda: np.zeros(0))
     start: State | None = None
     end: State | None = None
@@ -204,7 +205,8 @@ class Shooting:
         self.n_external = n_balanced(tracked.positions[0][pinned], size, settings.holding)
         self._force_fields: dict[tuple[int, int], Array] = {}
 
-    # The layout of a window's local unknowns: [start positions | start velocities | boundary positions | forces].
+    # The layout of a window's local unknowns: [start positions | start velocities | boundary positions |
+    # forces].
 
     def n_knots(self, n_frames: int, spacing: int) -> int:
         """Knots that cover a window of n_frames intervals."""
@@ -246,11 +248,11 @@ class Shooting:
         out[self.external(n_frames)] = external
         return out
 
-    def local(self, window: WindowMotion, white: Array) -> tuple[State, Array, Array]:
-        """Start state, pinned positions (n + 1, n_pinned, 3) and force per mass (n, N, 3) of local unknowns."""
+    def local(self, window: WindowMotion, standardised: Array) -> tuple[State, Array, Array]:
+        """Start state, boundary (n + 1, n_pinned, 3) and force per mass (n, N, 3) of local unknowns."""
         n = window.last - window.first
         oa, of, _ = self.layout(n)
-        values = white * self.deviations(n, self.settings.force, self.settings.external)
+        values = standardised * self.deviations(n, self.settings.force, self.settings.external)
         x0 = np.tensordot(values[: self.n_fields], self.fields, 1)
         v0 = np.tensordot(values[self.n_fields : oa], self.fields, 1)
         knots = hats(
@@ -284,7 +286,7 @@ class Shooting:
     def simulate(
         self,
         window: WindowMotion,
-        white: Array,
+        standardised: Array,
         base: Base,
         effects: Sequence[Effect] = (),
         around: Surroundings | None = None,
@@ -293,12 +295,12 @@ class Shooting:
 
         Args:
             window: its frames, reference and last motion.
-            white: local unknowns.
+            standardised: local unknowns.
             base: stiffness and wind.
             effects: in the model.
             around: the whole clip; needed with effects.
         """
-        state, boundary, force = self.local(window, white)
+        state, boundary, force = self.local(window, standardised)
         wind = base.wind @ self.horizontal
         k = torch.from_numpy(base.stiffness)[:, None]
         simulator, forces = (
@@ -328,7 +330,7 @@ class Shooting:
         good = all(s.status[0] is StepStatus.CONVERGED for s in motion.steps)
         return replace(
             window,
-            white=white,
+            standardised=standardised,
             positions=motion.all_positions[0].numpy(),
             start=state,
             end=motion.steps[-1].state,
@@ -342,7 +344,7 @@ class Shooting:
 
     def cost(self, window: WindowMotion) -> float:
         """Negative log-posterior of a window's images and local unknowns, up to a constant."""
-        return self.image_cost(window) + 0.5 * float(window.white @ window.white)
+        return self.image_cost(window) + 0.5 * float(window.standardised @ window.standardised)
 
     def clip_cost(self, windows: Sequence[WindowMotion], size: Discrepancy | None = None) -> float:
         """Negative log-posterior of windows that follow one another, up to a constant.
@@ -351,19 +353,19 @@ class Shooting:
             windows: simulated.
             size: of the discrepancy; None for that of the base fit.
         """
-        white = [self._white_at(window, size) for window in windows]
-        total = self.image_cost(windows[0]) + 0.5 * float(white[0] @ white[0])
-        for (before, window), local in zip(pairwise(windows), white[1:], strict=True):
+        standardised = [self._standardised_at(window, size) for window in windows]
+        total = self.image_cost(windows[0]) + 0.5 * float(standardised[0] @ standardised[0])
+        for (before, window), local in zip(pairwise(windows), standardised[1:], strict=True):
             jump, own = self.jump(before, window), local[2 * self.n_fields :]
             total += self.image_cost(window) + 0.5 * float(jump @ jump + own @ own)
         return total
 
-    def _white_at(self, window: WindowMotion, size: Discrepancy | None) -> Array:
+    def _standardised_at(self, window: WindowMotion, size: Discrepancy | None) -> Array:
         """Local unknowns in units of their deviations at a size of the discrepancy."""
         if size is None:
-            return window.white
+            return window.standardised
         s, n = self.settings, window.last - window.first
-        return window.white * self.deviations(n, s.force, s.external) / self.deviations(n, *size)
+        return window.standardised * self.deviations(n, s.force, s.external) / self.deviations(n, *size)
 
     def jump(self, before: WindowMotion, window: WindowMotion) -> Array:
         """Modes of positions and velocities between an end and the next start, in deviations."""
@@ -396,7 +398,7 @@ class Shooting:
         n_shared: int,
         simulator: LinearizableSimulator | None = None,
     ) -> tuple[Array, Array, Array]:
-        """Gauss-Newton matrix and gradient of the image term over [shared | local white at force=1].
+        """Gauss-Newton matrix and gradient of the image term over [shared | local standardised at force=1].
 
         The third is the derivative of the end, in modes and deviations of a jump (2 n_fields, n).
 

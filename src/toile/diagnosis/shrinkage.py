@@ -151,7 +151,7 @@ def best_placebo(
     """
     window = base.windows[-1]
     assert window.end is not None
-    _, _, force = mechanics.shooting.local(window, window.white)
+    _, _, force = mechanics.shooting.local(window, window.standardised)
     rng = np.random.default_rng(seed)
     best: float | None = None
     kept: Prediction | None = None
@@ -182,7 +182,7 @@ def prediction_gains(
     workers: Workers = ALONE,
     settings: PredictionSettings = DEFAULT,
 ) -> dict[str, float]:
-    """Log of how much better a window is predicted from the end of the one before, summed over fitted windows.
+    """Log of how much better windows are predicted from the end of the one before, summed over them.
 
     Nothing is free within the window predicted; held-out frames are not looked at. An effect that only takes
     up what the model cannot do otherwise predicts no better.

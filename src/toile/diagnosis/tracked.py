@@ -14,7 +14,13 @@ from scipy import sparse
 
 from toile.diagnosis.model_grid import ModelGrid
 from toile.limits import Count, NonNegative, Positive, Unit
-from toile.reconstruction.gauss_newton.recipe import SlidingWindows, Stage, TrackingRecipe, Windows, visible
+from toile.reconstruction.gauss_newton.recipe import (
+    SlidingWindows,
+    TrackingRecipe,
+    TrackingStage,
+    Windows,
+    visible,
+)
 from toile.reconstruction.image_terms.image_features import contrast_features
 from toile.reconstruction.image_terms.texture_points import PointTermSettings, TexturePointTerm, grid_points
 from toile.reconstruction.lost_cloth import LEAST, first_lost, outline_overlap
@@ -158,7 +164,7 @@ def track_once(
     """
     last = recipe.stages[-1]
     fine = replace(last, windows=StopAt(last.windows, used - 1))
-    first: Stage | None = None
+    first: TrackingStage | None = None
     if coarse is not None:
         term = point_settings(recipe)
         term = replace(

@@ -14,8 +14,8 @@ Simulated on the fit's grid with the true parameters, the vertices deviate from 
 | SHAKEN at 1.5 Hz and (0.01, 0, 0.02) m | 4 | 0.59 | 1.06 | 24 |
 
 What is left with 8 steps is the grid's share. It grows fast where folds are sharper than the grid can bend:
-a similar sheet of 0.5 m with a pinned distance of 0.8 deviated by 2 %. The truth had 8 steps per frame, that of
-SHAKEN in the last row but one 4.
+a similar sheet of 0.5 m with a pinned distance of 0.8 deviated by 2 %. The truth had 8 steps per frame, that
+of SHAKEN in the last row but one 4.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ from toile.generation.simulation import Sheet
 from toile.geometry.camera import Camera
 from toile.scenes.template import Template
 
-_SLACK = 1.01  # a side is at least this much longer than the distance of the corners pinned at its ends
+_EXCESS = 1.01  # a side is at least this much longer than the distance of the corners pinned at its ends
 
 
 @dataclass(frozen=True)
@@ -95,5 +95,5 @@ def _measured_size(template: Template) -> tuple[float, float]:
         if set(ends) <= set(template.pinned_vertices):
             flat = p.reshape(-1, 3)
             chord = float((flat[ends[0]] - flat[ends[1]]).norm())
-        sides.append(max(mean, _SLACK * chord))
+        sides.append(max(mean, _EXCESS * chord))
     return sides[0], sides[1]

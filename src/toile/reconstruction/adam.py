@@ -41,7 +41,8 @@ class SuccessiveFramesAdam(Recipe):
     | texture_offset | texture coordinates | 0.0002 |
     | effects | each number's scale | not there |
 
-    The paper moves the pinned vertices by the turbulence stored at them, read as their velocity. Here they have
+    The paper moves the pinned vertices by the turbulence stored at them, read as their velocity. Here they
+    have
     parameters of their own, and Adam acts on their motion from frame to frame: with the paper's learning rate
     that is the paper's motion, but the force regularisation does not touch it.
 

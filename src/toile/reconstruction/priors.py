@@ -5,7 +5,7 @@ its change along the two grid directions. With free ends that form is diagonal i
 
     R_T = ½ Σ_k |T̂_k|² / q_k²,   q_k = σ' (1 + l_t² λ_t + l_s² (λ_i + λ_j))^{-½},   λ = 2 - 2 cos(π k / n),
 
-so T = DCT⁻¹(q z) turns it into ½ |z|²: white coordinates z in which Gauss-Newton is well conditioned.
+so T = DCT⁻¹(q z) turns it into ½ |z|²: standardised coordinates z in which Gauss-Newton is well conditioned.
 """
 
 from __future__ import annotations
@@ -44,15 +44,15 @@ class SmoothField:
         q = rough**-0.5
         self._q = (q * (deviation / np.sqrt((q**2).mean())))[..., None]
 
-    def colour(self, white: Array) -> Array:
-        """White coordinates to the field."""
-        return np.asarray(fft.idctn(self._q * white, axes=(0, 1, 2), norm="ortho"))
+    def restored(self, standardised: Array) -> Array:
+        """Standardised coordinates to the field."""
+        return np.asarray(fft.idctn(self._q * standardised, axes=(0, 1, 2), norm="ortho"))
 
-    def colour_adjoint(self, gradient: Array) -> Array:
-        """Gradient with respect to the field to one with respect to the white coordinates."""
+    def restored_adjoint(self, gradient: Array) -> Array:
+        """Gradient with respect to the field to one with respect to the standardised coordinates."""
         return np.asarray(self._q * fft.dctn(gradient, axes=(0, 1, 2), norm="ortho"))
 
-    def whiten(self, field: Array) -> Array:
+    def standardise(self, field: Array) -> Array:
         """Inverse of colour."""
         return np.asarray(fft.dctn(field, axes=(0, 1, 2), norm="ortho") / self._q)
 
@@ -70,14 +70,14 @@ class SmoothSeries:
         q = 1 / (1 + time_scale**2 * _laplacian_eigenvalues(n))
         self._q = (q * (deviation / np.sqrt((q**2).mean())))[:, None, None]
 
-    def colour(self, white: Array) -> Array:
-        """White coordinates to the series."""
-        return np.asarray(fft.idct(self._q * white, axis=0, norm="ortho"))
+    def restored(self, standardised: Array) -> Array:
+        """Standardised coordinates to the series."""
+        return np.asarray(fft.idct(self._q * standardised, axis=0, norm="ortho"))
 
-    def colour_adjoint(self, gradient: Array) -> Array:
-        """Gradient with respect to the series to one with respect to the white coordinates."""
+    def restored_adjoint(self, gradient: Array) -> Array:
+        """Gradient with respect to the series to one with respect to the standardised coordinates."""
         return np.asarray(self._q * fft.dct(gradient, axis=0, norm="ortho"))
 
-    def whiten(self, series: Array) -> Array:
+    def standardise(self, series: Array) -> Array:
         """Inverse of colour."""
         return np.asarray(fft.dct(series, axis=0, norm="ortho") / self._q)

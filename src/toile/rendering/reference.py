@@ -19,7 +19,7 @@ from toile.rendering.base import (
 )
 from toile.rendering.edges import mesh_edges
 
-SLACK = 8.0
+DEPTH_MARGIN = 8.0
 """Depth range, in multiples of that of the faces at an edge, in which a pixel shows the same sheet."""
 
 
@@ -210,7 +210,7 @@ def _claims(
     around = torch.tensor([*ends, *(o for o in others if o >= 0)], device=face.device)
     touches = (faces[face_p.clamp(min=0)][:, :, None] == around).any(-1).any(-1)
     depths = torch.stack([v[2] for v in (p0, p1, *third)]).detach()
-    margin = SLACK * (depths.max() - depths.min())
+    margin = DEPTH_MARGIN * (depths.max() - depths.min())
     z = 1 / _nearness(screen, faces, face_p, on_screen(inner + 0.5))
     beside = touches | ((z > depths.min() - margin) & (z < depths.max() + margin))
     # The outer pixel shows nothing, or something behind the edge.

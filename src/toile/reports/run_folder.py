@@ -36,6 +36,7 @@ import yaml
 
 from toile.atomic_file import write_text, written_atomically
 from toile.errors import InputError
+from toile.former_names import TRAJECTORY_ARRAYS, renamed
 from toile.json_file import read_json_object
 
 if TYPE_CHECKING:
@@ -43,8 +44,9 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-TRAJECTORY_FORMAT = 2
-"""1: positions, fps and parameters alone. 2: with times, faces, K, image_size and gravity."""
+TRAJECTORY_FORMAT = 3
+"""1: positions, fps and parameters alone. 2: with times, faces, K, image_size and gravity. 3: the pinned
+vertices and the motion of their boundary positions have these names."""
 
 RESERVED_ARRAYS = ("format", "positions", "fps", "times", "faces", "K", "image_size", "gravity")
 
@@ -321,7 +323,7 @@ def read_trajectory(run: RunFolder) -> SavedTrajectory:
 
     def load(path: Path) -> SavedTrajectory:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
-            arrays = {name: data[name] for name in data.files}
+            arrays = renamed({name: data[name] for name in data.files}, TRAJECTORY_ARRAYS)
         version = int(arrays.pop("format", 1))
         if version > TRAJECTORY_FORMAT:
             raise ValueError(f"format {version}, of a later version of toile")

@@ -42,6 +42,7 @@ import torch
 from torch import Tensor
 
 from toile.errors import InputError
+from toile.former_names import SCENE_KEYS, renamed
 from toile.geometry.camera import Camera
 from toile.geometry.io import PolygonMesh, read_mesh, write_mesh, write_point_cloud
 from toile.json_file import read_json_object
@@ -335,7 +336,7 @@ def _read_description(folder: Path) -> dict[str, Any]:
             got=", ".join(there[:20]) or "an empty folder",
         )
     try:
-        return read_json_object(path)
+        return renamed(read_json_object(path), SCENE_KEYS)
     except (OSError, ValueError) as error:
         raise InputError(
             "scene.json is no valid JSON", where=str(path), expected="a JSON object {...}", got=str(error)

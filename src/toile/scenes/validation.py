@@ -37,7 +37,9 @@ def check_scene(scene: Scene) -> list[Finding]:
     if has_errors(findings):
         return findings
     findings += check_gravity(scene.gravity, scene.template, scene.pinned_vertices, where)
-    findings += check_vertex_axes(scene.gravity, scene.template, scene.pinned_vertices, scene.cloth_size, where)
+    findings += check_vertex_axes(
+        scene.gravity, scene.template, scene.pinned_vertices, scene.cloth_size, where
+    )
     findings += check_projection(scene, where)
     if not has_errors(findings):
         findings += check_texture(scene, where)
@@ -339,7 +341,7 @@ def check_vertex_axes(
     cloth_size: tuple[float, float],
     where: str,
 ) -> list[Finding]:
-    """Pinned vertices hang the cloth, so no reversal or transposition of the grid should lift them far higher.
+    """The cloth hangs from pinned vertices, so no reversal or transposition should lift them far higher.
 
     A square grid read in transposed order is still a valid grid; only where it is pinned gives it away.
     A warning, since a cloth may be pinned from below or at the side.

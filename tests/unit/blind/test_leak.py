@@ -112,7 +112,7 @@ def set_of(n: int = 40) -> tuple[pd.DataFrame, pd.DataFrame]:
     effects = ["none"] * 10 + ["air_drag", "gusts", "shading"] * ((n - 10) // 3)
     stages = {"none": "none", "air_drag": "mechanics", "gusts": "actuation", "shading": "appearance"}
     truth = pd.DataFrame(
-        {"generator": ["reality"] * n, "effect": effects, "stage": [stages[e] for e in effects]}
+        {"generator": ["toile"] * n, "effect": effects, "stage": [stages[e] for e in effects]}
     )
     return statistics, truth
 
@@ -129,7 +129,7 @@ def test_questions_by_generator() -> None:
     assert "effect or none" in set(
         leaks(statistics, truth, permutations=20).query("generator=='blender'").question
     )
-    truth.loc[1:2, "generator"] = "reality"
+    truth.loc[1:2, "generator"] = "toile"
     asked = set(leaks(statistics, truth, permutations=20).query("generator=='blender'").question)
     assert "effect or none" not in asked
 

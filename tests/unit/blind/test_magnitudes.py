@@ -17,8 +17,8 @@ from toile.effects.catalogue import CATALOGUE, STAGES
 from toile.effects.gravity_tilt import GravityTilt
 from toile.effects.lens_distortion import LensDistortion
 from toile.effects.shading import Shading
-from toile.generation.reality.catalogue import INSIDE, reality_effect
-from toile.generation.reality.interface import RealityEffect, Reference
+from toile.generation.out_of_family.catalogue import INSIDE, out_of_family_effect
+from toile.generation.out_of_family.interface import OutOfFamilyEffect, Reference
 from toile.geometry.camera import Camera
 from toile.geometry.mesh import grid_faces, vertex_normals
 
@@ -31,20 +31,20 @@ def sheet() -> torch.Tensor:
     return torch.stack((u, v, 1.5 + 0.3 * u**2 + 0.2 * v), -1)
 
 
-def drawn(name: str, strength: float = 1.0) -> RealityEffect:
-    """An effect of the generated reality."""
+def drawn(name: str, strength: float = 1.0) -> OutOfFamilyEffect:
+    """An effect of the out-of-family generator."""
     motion = sheet().repeat(8, 1, 1, 1) + 0.01 * torch.arange(8, dtype=torch.float64)[:, None, None, None]
     reference = Reference(motion, (0.6, 0.6), GRAVITY, 25.0, (0, 30))
-    effect = reality_effect(name)(np.random.default_rng(2), reference).scaled(strength)
+    effect = out_of_family_effect(name)(np.random.default_rng(2), reference).scaled(strength)
     if name == "mask_bias":
         effect.pixels_per_percent = 2.0  # type: ignore[attr-defined]
     return effect
 
 
-def sealed(effect: RealityEffect) -> Sealed:
-    """A label as the package's own reality writes it, as far as magnitudes go."""
+def sealed(effect: OutOfFamilyEffect) -> Sealed:
+    """A label as the package's out-of-family generator writes it, as far as magnitudes go."""
     label = {
-        "generator": "reality",
+        "generator": "toile",
         "parameters": {effect.NAME: effect.parameters()},
         "comparable": {effect.NAME: effect.comparable()},
         "magnitude": {"alone": {effect.NAME: {"value": 3.0, "measure": "motion"}}},
@@ -111,7 +111,7 @@ def test_frame_rate_of_a_camera_that_runs_fast() -> None:
 
 
 def test_lens_moves_points_as_the_catalogue_says() -> None:
-    """Without its tangential part and second order, the reality's lens is the catalogue's with that k1."""
+    """Without its tangential part and second order, our generator's lens is the catalogue's with that k1."""
     lens = drawn("lens_distortion", 0.7)
     lens.second, lens.tangential = 0.0, np.zeros(2)  # type: ignore[attr-defined]
     (found,) = comparisons(report("lens_distortion", {"k1": 0.0, "k2": 0.0}), sealed(lens))
@@ -122,7 +122,7 @@ def test_lens_moves_points_as_the_catalogue_says() -> None:
 
 
 def test_shading_is_lambert_to_first_order() -> None:
-    """The catalogue's factor with the true numbers changes as the reality's light does."""
+    """The catalogue's factor with the true numbers changes as the out-of-family generator's light does."""
     light = drawn("shading", 0.6)
     found = {c.name: c.truth for c in comparisons(report("shading", {"x": 0, "y": 0}), sealed(light))}
     assert set(found) == {"x", "y"}

@@ -42,7 +42,7 @@ def label(*effects: str, stage: str = "mechanics", inside: bool = True, gap: flo
         "stage": stage if effects else "none",
         "stage_accept": [stage] if effects else ["none"],
         "in_catalogue": inside,
-        "generator": "reality",
+        "generator": "toile",
         "comparable": {},
         "magnitude": {
             "mean_last_third": gap if effects else 0.0,

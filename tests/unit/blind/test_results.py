@@ -37,18 +37,18 @@ FRAMES = np.zeros((4, 3, 3, 3), np.float32)
 
 # name: effect, level, generator, answer
 SCENES = {
-    "a00001": ("", "", "reality", "none"),
-    "a00002": ("", "", "reality", "gusts"),
+    "a00001": ("", "", "toile", "none"),
+    "a00002": ("", "", "toile", "gusts"),
     "a00003": ("", "", "blender", "none"),
-    "a00004": ("air_drag", "weak", "reality", "none"),
-    "a00005": ("air_drag", "medium", "reality", "air_drag"),
+    "a00004": ("air_drag", "weak", "toile", "none"),
+    "a00005": ("air_drag", "medium", "toile", "air_drag"),
     "a00006": ("air_drag", "strong", "blender", "air_drag"),
-    "a00007": ("frame_rate", "medium", "reality", "frame_rate"),
+    "a00007": ("frame_rate", "medium", "toile", "frame_rate"),
     "a00008": ("motion_blur", "medium", "blender", "motion_blur"),
-    "a00009": ("gusts", "strong", "reality", "ambiguous"),
-    "a00010": ("vortex_field", "strong", "reality", "unknown"),
-    "a00011": ("air_drag+shading", "medium+medium", "reality", "air_drag"),
-    "a00012": ("gusts", "medium", "reality", ""),
+    "a00009": ("gusts", "strong", "toile", "ambiguous"),
+    "a00010": ("vortex_field", "strong", "toile", "unknown"),
+    "a00011": ("air_drag+shading", "medium+medium", "toile", "air_drag"),
+    "a00012": ("gusts", "medium", "toile", ""),
 }
 
 
@@ -68,7 +68,7 @@ def label(effects: str, level: str, generator: str) -> dict[str, Any]:
         "in_catalogue": effects != "vortex_field",
         "generator": generator,
         "parameters": parameters,
-        "comparable": {effects: own} if generator == "reality" else {},
+        "comparable": {effects: own} if generator == "toile" else {},
         "magnitude": {
             "mean_last_third": 2.0 if moves else 0.0,
             "alone": {n: {"value": 2.0, "measure": "motion"} for n in moves},
@@ -121,7 +121,7 @@ def graded(tmp_path: Path) -> tuple[BlindSet, Predictions, SealKey]:
     description = {
         "composition": "standard",
         "blind": True,
-        "reality": {},
+        "out_of_family": {},
         "key": key.fingerprint,
         "notes": ["the first 12 of 60 scenes in the order of their names"],
         "scenes": list(SCENES),
@@ -167,7 +167,7 @@ def test_tables_by_effect_generator_and_against_the_baseline(
     assert (gusts["found"], gusts["in_set"], gusts["smallest_level"]) == (0, 1, "")
     assert gusts["naive"] == 1  # the other scene of gusts has no diagnosis
     measures = by_generator(marks, resamplings=5, seed=0).set_index(["generator", "measure"])
-    assert measures.loc[("reality", "false alarms on nulls"), "value"] == 0.5
+    assert measures.loc[("toile", "false alarms on nulls"), "value"] == 0.5
     assert measures.loc[("blender", "false alarms on nulls"), "value"] == 0.0
     singles = over_naive(marks, resamplings=50, seed=0).set_index("over").loc["singles"]
     assert singles["diagnosis"] == pytest.approx(4 / 7)
@@ -221,7 +221,7 @@ def test_document(graded: tuple[BlindSet, Predictions, SealKey], results: Module
         assert part in text, part
     assert (docs / "images" / "blind_standard_shrink.png").stat().st_size > 1000
     measures = pd.read_csv(docs / "results" / "blind_standard.csv")
-    assert set(measures["generator"]) == {"all", "reality", "blender"}
+    assert set(measures["generator"]) == {"all", "toile", "blender"}
     times = pd.read_csv(docs / "results" / "blind_standard_times.csv")
     assert list(times["stage"].unique()) == ["tracking", "maps"]
     assert times["wall"].isna().sum() == 1

@@ -1,4 +1,4 @@
-"""A displacement of one pinned vertex that comes quickly and stays is a slip; sway, drift and depth are not."""
+"""A displacement of a pinned vertex that comes quickly and stays is a slip; sway, drift, depth are not."""
 
 from __future__ import annotations
 

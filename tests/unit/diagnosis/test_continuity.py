@@ -31,9 +31,9 @@ def systems(seed: int, n: int = 3) -> list[WindowSystem]:
         if k:
             before = rng.normal(size=(N_START, N_SHARED + N_LOCAL))
             link = Link(rng.normal(size=N_START), rng.uniform(2, 4, N_START), before)
-        white = rng.normal(size=N_LOCAL)
+        standardised = rng.normal(size=N_LOCAL)
         found.append(
-            WindowSystem(J.T @ J, J.T @ rng.normal(size=12), white, INTERNAL, EXTERNAL, FITTED, link)
+            WindowSystem(J.T @ J, J.T @ rng.normal(size=12), standardised, INTERNAL, EXTERNAL, FITTED, link)
         )
     return found
 
@@ -49,7 +49,7 @@ def whole(all_systems: list[WindowSystem]) -> tuple[np.ndarray, np.ndarray, np.n
         at = np.concatenate((np.arange(N_SHARED), own))
         H[np.ix_(at, at)] += s.matrix
         g[at] += s.gradient
-        rows, residual = np.zeros((N_LOCAL, total)), s.white * fitted / scale
+        rows, residual = np.zeros((N_LOCAL, total)), s.standardised * fitted / scale
         rows[np.arange(N_LOCAL), own] = 1 / scale
         if s.link is not None:
             past = np.concatenate((np.arange(N_SHARED), own - N_LOCAL))
@@ -78,11 +78,11 @@ def test_constants_differ_as_gaussian_integrals_do() -> None:
         all_systems = systems(seed)
         H, g, scale = whole(all_systems)
         b = slice(N_SHARED, None)
-        white = scale[:, None] * H[b, b] * scale
-        value = 0.5 * g[b] @ np.linalg.solve(H[b, b], g[b]) - 0.5 * np.linalg.slogdet(white)[1]
+        standardised = scale[:, None] * H[b, b] * scale
+        value = 0.5 * g[b] @ np.linalg.solve(H[b, b], g[b]) - 0.5 * np.linalg.slogdet(standardised)[1]
         for k, s in enumerate(all_systems):
             at = slice(N_LOCAL * k, N_LOCAL * (k + 1))
-            mean = s.white * np.where(INTERNAL, 0.7, np.where(EXTERNAL, 0.1, 1.0)) / scale[at]
+            mean = s.standardised * np.where(INTERNAL, 0.7, np.where(EXTERNAL, 0.1, 1.0)) / scale[at]
             m = 0 if s.link is None else N_START
             value -= 0.5 * mean[m:] @ mean[m:]
             value -= 0.0 if s.link is None else 0.5 * s.link.jump @ s.link.jump
@@ -131,16 +131,18 @@ def test_the_end_of_a_window_moves_as_its_derivative_says() -> None:
     )
     stiffness = np.array([400.0, 1e-2, 1e-4])
     state = State.start(x, torch.zeros_like(x), simulator.time_step, simulator.n_past)
-    white = np.zeros(shooting.layout(frames - 1)[2])
+    standardised = np.zeros(shooting.layout(frames - 1)[2])
 
     def run(values: np.ndarray, moved: np.ndarray) -> WindowMotion:
         window = WindowMotion(0, frames - 1, state, moved)
         return shooting.simulate(window, moved, base_of(stiffness, values))
 
-    first = run(np.zeros(5), white)
+    first = run(np.zeros(5), standardised)
     assert first.end is not None
     second = shooting.simulate(
-        WindowMotion(frames - 1, 2 * frames - 2, first.end, white), white, base_of(stiffness, np.zeros(5))
+        WindowMotion(frames - 1, 2 * frames - 2, first.end, standardised),
+        standardised,
+        base_of(stiffness, np.zeros(5)),
     )
     base = base_of(stiffness, np.zeros(5))
     columns = [base_columns(shooting, base)] * 2
@@ -148,7 +150,7 @@ def test_the_end_of_a_window_moves_as_its_derivative_says() -> None:
     assert link is not None
     np.testing.assert_allclose(link.jump, 0, atol=1e-9)
     small = 1e-3
-    values, moved = np.zeros(5), white.copy()
+    values, moved = np.zeros(5), standardised.copy()
     values[4] = small
     moved[1] = moved[shooting.n_fields + 2] = small
     changed = shooting.jump(run(values, moved), second)

@@ -145,8 +145,8 @@ def test_all_the_way_to_the_mean_nothing_costs_less() -> None:
         for s, moved in zip(systems, local, strict=True):
             full = np.concatenate((base, own, [0.0], moved))
             total += float(0.5 * full @ s.matrix @ full + s.gradient @ full)
-            white = moved / np.array([1, 1, 1, *best.discrepancy])
-            total += 0.5 * float(white @ white)
+            standardised = moved / np.array([1, 1, 1, *best.discrepancy])
+            total += 0.5 * float(standardised @ standardised)
         return total
 
     least = cost(values, numbers, changes)
@@ -195,10 +195,10 @@ def test_evidence_does_not_depend_on_where_a_quadratic_is_developed() -> None:
     values, numbers = at[:2], at[2:]
     moved, cost = [], 0.0
     for s in systems:
-        white = rng.normal(size=5)
-        step = np.concatenate((at, white * np.array([1, 1, 1, *SIZE])))
+        standardised = rng.normal(size=5)
+        step = np.concatenate((at, standardised * np.array([1, 1, 1, *SIZE])))
         cost += 0.5 * step @ s.matrix @ step + s.gradient @ step
-        moved.append(replace(s, gradient=s.gradient + s.matrix @ step, white=white))
+        moved.append(replace(s, gradient=s.gradient + s.matrix @ step, standardised=standardised))
     here = Evidence(systems, np.zeros(2), deviations)
     there = Evidence(moved, values, deviations, numbers=numbers)
     a, b = here.posterior((2, 3)), there.posterior((2, 3))

@@ -10,7 +10,7 @@ import torch
 
 from toile.diagnosis import tracked
 from toile.diagnosis.tracked import CoarseTracking, track, track_once
-from toile.reconstruction.gauss_newton.recipe import SlidingWindows, Stage, TrackingRecipe
+from toile.reconstruction.gauss_newton.recipe import SlidingWindows, TrackingRecipe, TrackingStage
 from toile.reconstruction.gauss_newton.unknowns import Priors
 from toile.reconstruction.image_terms.texture_points import PointTermSettings
 from toile.reconstruction.lost_cloth import LostClothGuard, first_lost, outline_overlap
@@ -55,7 +55,7 @@ def test_a_wrong_camera_loses_nothing() -> None:
 def test_the_heavier_silhouette_is_that_of_the_first_pass(
     problem: Problem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    stage = Stage(
+    stage = TrackingStage(
         SlidingWindows(3, 1, 1),
         PointTermSettings(16, 1.0, None, 4096.0, 50.0),
         Priors(10.0, 1.0, 2.0, 0.01, 3.0, None, None, walk=False),

@@ -40,9 +40,9 @@ def fitted(substeps: int) -> tuple[Shooting, BaseFit]:
     )
     stiffness = np.array([400.0, 1e-2, 1e-4])
     state = State.start(x, torch.zeros_like(x), simulator.time_step, simulator.n_past)
-    white = np.zeros(shooting.layout(FRAMES - 1)[2])
+    standardised = np.zeros(shooting.layout(FRAMES - 1)[2])
     fit = BaseFit([], stiffness, np.zeros(5), 0.0, ())
-    window = shooting.simulate(WindowMotion(0, FRAMES - 1, state, white), white, fit.base)
+    window = shooting.simulate(WindowMotion(0, FRAMES - 1, state, standardised), standardised, fit.base)
     fit.windows.append(window)
     assert window.converged
     return shooting, fit
@@ -70,7 +70,7 @@ def test_steps_are_halved_until_shorter_ones_change_nothing() -> None:
     # Unknowns go along: the motion stays near.
     a, b = fit.windows[0].positions[-1], better.windows[0].positions[-1]
     assert np.linalg.norm(a - b, axis=-1).mean() < 5 * before
-    np.testing.assert_allclose(better.windows[0].white, fit.windows[0].white, atol=1e-6)
+    np.testing.assert_allclose(better.windows[0].standardised, fit.windows[0].standardised, atol=1e-6)
 
 
 def test_steps_that_are_short_enough_stay() -> None:

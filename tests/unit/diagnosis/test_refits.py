@@ -130,7 +130,7 @@ def test_passes_end_and_steps_are_as_long_as_the_settings_say(mechanics: Mechani
         shooting = Shooting(
             s.simulator, s.substeps, s.gravity, s.horizontal, s.grid, s.boundary, s.tracked, changed
         )
-        windows = [shooting.simulate(w, w.white, base) for w in fit.windows]
+        windows = [shooting.simulate(w, w.standardised, base) for w in fit.windows]
         return improved(shooting, windows, fit.start_stiffness, start, lambda what, cost: None, passes=2)
 
     short = passes(longest_stiffness=1e-3)

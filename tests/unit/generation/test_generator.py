@@ -239,4 +239,6 @@ def test_settings_are_plain_values(tiny_settings: GeneratorSettings) -> None:
     for f in fields(tiny_settings):
         value = getattr(tiny_settings, f.name)
         items = value if isinstance(value, tuple) else (value,)
-        assert all(item is None or isinstance(item, (int, float, str, PinnedMotion)) for item in items), f.name
+        assert all(item is None or isinstance(item, (int, float, str, PinnedMotion)) for item in items), (
+            f.name
+        )

@@ -24,7 +24,7 @@ from toile.physics.implicit.simulator import ImplicitSimulator
 from toile.physics.step_terms import StepTerm
 from toile.reconstruction.adam import SuccessiveFramesAdam
 from toile.reconstruction.effects import FitEffects
-from toile.reconstruction.gauss_newton.recipe import SlidingWindows, Stage, TrackingRecipe
+from toile.reconstruction.gauss_newton.recipe import SlidingWindows, TrackingRecipe, TrackingStage
 from toile.reconstruction.gauss_newton.unknowns import Priors, WindowUnknowns
 from toile.reconstruction.gauss_newton.window import minimise_window, state_at
 from toile.reconstruction.image_terms.texture_points import PointTermSettings
@@ -175,7 +175,7 @@ def test_fixed_numbers_stay(problem: Callable[..., Reconstruction]) -> None:
 def test_windows_join_into_one_simulation(problem: Callable[..., Reconstruction]) -> None:
     """Velocities at the begin of a window are those that the simulation before has left."""
     made = problem((AirDrag({"quadratic": 8.0}), FrameRate({"log_factor": 0.1})))
-    stage = Stage(
+    stage = TrackingStage(
         windows=SlidingWindows(2, 1, 1),
         term=PointTermSettings(24, 1.0, None, 4096.0, 50.0),
         priors=Priors(10.0, 1.0, 2.0, 0.01, 3.0, None, None, walk=False),

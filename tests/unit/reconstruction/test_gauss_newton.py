@@ -18,7 +18,12 @@ from toile.physics.implicit.newton import NewtonSettings
 from toile.physics.implicit.simulator import ImplicitSimulator
 from toile.physics.simulator import Simulator, StepResult
 from toile.reconstruction.gauss_newton import conjugate_gradients
-from toile.reconstruction.gauss_newton.recipe import GrowingWindows, SlidingWindows, Stage, TrackingRecipe
+from toile.reconstruction.gauss_newton.recipe import (
+    GrowingWindows,
+    SlidingWindows,
+    TrackingRecipe,
+    TrackingStage,
+)
 from toile.reconstruction.gauss_newton.unknowns import Priors, WindowUnknowns
 from toile.reconstruction.gauss_newton.window import minimise_window, state_at
 from toile.reconstruction.image_terms.texture_points import PointTermSettings
@@ -36,7 +41,7 @@ def problem(problem: Callable[..., Reconstruction]) -> Reconstruction:
     return problem(uniform, shearing=10.0)
 
 
-def stage(term: PointTermSettings | PositionTermSettings, priors: Priors, **changes: object) -> Stage:
+def stage(term: PointTermSettings | PositionTermSettings, priors: Priors, **changes: object) -> TrackingStage:
     defaults: dict[str, object] = {
         "windows": SlidingWindows(3, 1, 1),
         "iterations": 2,
@@ -46,7 +51,7 @@ def stage(term: PointTermSettings | PositionTermSettings, priors: Priors, **chan
         "settle": False,
         "discard_turbulence": False,
     }
-    return Stage(term=term, priors=priors, **{**defaults, **changes})  # type: ignore[arg-type]
+    return TrackingStage(term=term, priors=priors, **{**defaults, **changes})  # type: ignore[arg-type]
 
 
 IMAGES = PointTermSettings(24, 1.0, None, 4096.0, 50.0)

@@ -1,4 +1,4 @@
-"""Smoothness priors: white coordinates, adjoints, and the paper's quadratic form."""
+"""Smoothness priors: standardised coordinates, adjoints, and the paper's quadratic form."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ RNG = np.random.default_rng(0)
     ("prior", "shape"),
     [(SmoothField((5, 4, 6), 3.0, 1.0, 2.0), (5, 4, 6, 3)), (SmoothSeries(7, 0.01, 3.0), (7, 2, 3))],
 )
-def test_white_coordinates(prior: SmoothField | SmoothSeries, shape: tuple[int, ...]) -> None:
+def test_standardised_coordinates(prior: SmoothField | SmoothSeries, shape: tuple[int, ...]) -> None:
     z, g = RNG.normal(size=shape), RNG.normal(size=shape)
-    np.testing.assert_allclose(prior.whiten(prior.colour(z)), z, atol=1e-12)
-    assert (prior.colour(z) * g).sum() == pytest.approx((z * prior.colour_adjoint(g)).sum(), rel=1e-12)
+    np.testing.assert_allclose(prior.standardise(prior.restored(z)), z, atol=1e-12)
+    assert (prior.restored(z) * g).sum() == pytest.approx((z * prior.restored_adjoint(g)).sum(), rel=1e-12)
 
 
 def test_deviation_is_that_of_the_field() -> None:
     prior = SmoothField((20, 16, 16), 3.0, 1.0, 2.0)
-    field = prior.colour(RNG.normal(size=(20, 16, 16, 3)))
+    field = prior.restored(RNG.normal(size=(20, 16, 16, 3)))
     assert np.sqrt((field**2).mean()) == pytest.approx(3.0, rel=0.05)
 
 
@@ -39,5 +39,5 @@ def test_quadratic_form_is_that_of_the_paper() -> None:
     ratios = []
     for _ in range(3):
         field = RNG.normal(size=(*shape, 3))
-        ratios.append((prior.whiten(field) ** 2).sum() / regularisation(field))
+        ratios.append((prior.standardise(field) ** 2).sum() / regularisation(field))
     np.testing.assert_allclose(ratios, ratios[0], rtol=1e-12)

@@ -20,7 +20,7 @@ from toile.physics.implicit.integrators import BDF2
 from toile.physics.implicit.newton import NewtonSettings
 from toile.physics.implicit.simulator import ImplicitSimulator
 from toile.reconstruction.effects import FitEffects
-from toile.reconstruction.gauss_newton.recipe import SlidingWindows, Stage, TrackingRecipe
+from toile.reconstruction.gauss_newton.recipe import SlidingWindows, TrackingRecipe, TrackingStage
 from toile.reconstruction.gauss_newton.unknowns import Priors, WindowUnknowns
 from toile.reconstruction.gauss_newton.window import minimise_window, state_at
 from toile.reconstruction.image_terms.texture_points import PointTermSettings
@@ -168,7 +168,7 @@ def test_a_fit_with_the_times_finds_wind_and_stiffness_and_with_the_mean_rate_do
 
 
 def tracking() -> TrackingRecipe:
-    stage = Stage(
+    stage = TrackingStage(
         windows=SlidingWindows(3, 1, 1),
         term=PointTermSettings(16, 1.0, None, 4096.0, 50.0),
         priors=Priors(10.0, 1.0, 2.0, 0.01, 3.0, None, None, walk=False),

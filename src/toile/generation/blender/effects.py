@@ -67,7 +67,7 @@ _ALL = (
     BlenderEffect(
         "anisotropic_stiffness",
         "mechanics",
-        "Twice as many threads per metre across the pinned edge as along it: springs `ratio` (a whole number) "
+        "Twice as many threads per metre across the pinned edge as along it: springs `ratio` (whole number) "
         "times shorter along axis 1, so the cloth is ratio² times stiffer along axis 0 than along axis 1.",
         {"ratio": 2.0},
     ),

@@ -29,7 +29,8 @@ class SurrogateTraining(LightningModule):
 
     Draw a batch of cloth states, let the network propose a step, descend along the gradient of Eq. 4 rescaled
     per sample, store the result of the step in the pool, and replace what went wrong. Optimisation is manual:
-    every pass of the network over a step has a backward of its own, so that only one graph is pinned at a time.
+    every pass of the network over a step has a backward of its own, so that only one graph is kept at a
+    time.
 
     A step is the unit of everything that is counted here; a run is one Lightning epoch, and "epoch" below
     means ``settings.steps_per_epoch`` steps. A checkpoint written between two steps holds weights, average,

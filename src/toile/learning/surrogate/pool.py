@@ -11,13 +11,13 @@ from torch import Tensor
 from toile.errors import InputError
 from toile.learning.surrogate.distributions import normal, uniform
 from toile.learning.surrogate.forces import ForceSampler, acceleration_field
+from toile.learning.surrogate.materials import MaterialRanges
 from toile.learning.surrogate.pinned_corners import (
     PinnedCornerSampler,
     border_lengths,
     corner_indices,
     within_reach,
 )
-from toile.learning.surrogate.materials import MaterialRanges
 from toile.learning.surrogate.rest_shapes import RestShapeSampler
 from toile.learning.surrogate.states import ClothStates
 from toile.limits import Count, Fraction, NonNegative
@@ -208,7 +208,9 @@ class Pool:
         """Positions (B, 4, 3) of the corners at the end of the step, if they are pinned."""
         rows, columns = corner_indices(self.settings.grid)
         moved = states.history[:, 0, rows, columns] + states.corner_velocities
-        return within_reach(moved, states.pinned, border_lengths(states.rest_lengths_i, states.rest_lengths_j))
+        return within_reach(
+            moved, states.pinned, border_lengths(states.rest_lengths_i, states.rest_lengths_j)
+        )
 
 
 def prediction_weights() -> Tensor:

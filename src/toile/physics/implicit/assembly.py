@@ -137,7 +137,8 @@ class Assembly:
             convex: drop every indefinite part (positive semi-definite, used when the exact one is not).
 
         Returns:
-            gradients (C, N, 3); blocks (n_blocks, 3, 3) in the order of the pattern, pinned vertices included.
+            gradients (C, N, 3); blocks (n_blocks, 3, 3) in the order of the pattern, pinned vertices
+            included.
         """
         blocks = np.zeros((len(self.pattern.rows), 3, 3))
         self._coefficients[:] = coefficients
@@ -155,7 +156,7 @@ class Assembly:
         return rows.reshape(3 * len(self.pinned), 3 * self.n)
 
     def _coupled_blocks(self) -> list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], bool]]:
-        """Blocks between a pinned and a free vertex: place, number of the pinned, the free one, transposed."""
+        """Blocks between a pinned and a free vertex: place, number of the pinned, free one, transposed."""
         number = np.full(self.n, -1)
         number[self.pinned] = np.arange(len(self.pinned))
         found = []

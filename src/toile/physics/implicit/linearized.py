@@ -24,7 +24,8 @@ Array = NDArray[np.float64]
 class Perturbation:
     """A change of every input of a rollout of one scene, or a gradient with respect to them.
 
-    Pinned vertices are where their boundary positions are, at frame 0 too: ``boundary[0]`` stands for both, and what
+    Pinned vertices are where their boundary positions are, at frame 0 too: ``boundary[0]`` stands for both,
+        and what
     ``positions`` and ``velocities`` say about pinned vertices is ignored (zero in a gradient).
 
     Attributes:

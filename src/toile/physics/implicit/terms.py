@@ -189,7 +189,7 @@ class TermMemory:
         return sum(map(len, self.values))
 
     def tangent(self, x: Array, v: Array, boundary: Array, stiffness: Array, values: Array) -> Array:
-        """Change of the force (N, 3) for changes of x_n, v_n, boundary positions, material (P,) and all values (n,).
+        """Change of the force (N, 3) for changes of x_n, v_n, boundary, material (P,) and all values (n,).
 
         No values, (0,), stands for no change of them.
         """
@@ -209,7 +209,7 @@ class TermMemory:
         return found
 
     def adjoint(self, gradient: Array) -> tuple[Array, Array, Array, Array, Array]:
-        """Gradients by x_n, v_n, boundary positions, material (P,) and all values for one by the force (N, 3)."""
+        """Gradients by x_n, v_n, boundary, material (P,) and all values for one by the force (N, 3)."""
         found = [g.detach().numpy() for g in self._adjoint(torch.from_numpy(gradient), graph=False)]
         values: Array = np.concatenate(found[4:]) if found[4:] else np.zeros(0)
         return found[0], found[1], found[2], found[3], values

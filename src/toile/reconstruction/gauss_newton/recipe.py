@@ -98,7 +98,7 @@ class GrowingWindows(Windows):
 
 
 @dataclass(frozen=True)
-class Stage:
+class TrackingStage:
     """One pass over the clip.
 
     Attributes:
@@ -131,17 +131,17 @@ class TrackingRecipe(Recipe):
         stages: passes in the order they run, by name; None leaves one out.
     """
 
-    def __init__(self, stages: Mapping[str, Stage | None]) -> None:
+    def __init__(self, stages: Mapping[str, TrackingStage | None]) -> None:
         self._by_name = dict(stages)
         self.stages = [stage for stage in stages.values() if stage is not None]
-        self._plan: list[tuple[Stage, int, int]] = []
+        self._plan: list[tuple[TrackingStage, int, int]] = []
         self._positions: Array | None = None
         self._covered = 0
         self._seed = 0
         self._walk: list[Array] = []
         self._tracked: Array | None = None
         self._start_stiffness = np.zeros(3)
-        self._stage: Stage | None = None
+        self._stage: TrackingStage | None = None
         self._term: TexturePointTerm | TrackedPositionTerm | None = None
 
     def n_cycles(self, reconstruction: Reconstruction) -> int:
@@ -251,7 +251,7 @@ class TrackingRecipe(Recipe):
         self._walk = list(state["walk"].numpy().copy())
         self._start_stiffness = state["start_stiffness"].numpy().copy()
 
-    def _leave(self, reconstruction: Reconstruction, following: Stage) -> None:
+    def _leave(self, reconstruction: Reconstruction, following: TrackingStage) -> None:
         """Keep what the stage before has tracked, and prepare the parameters for the one that follows."""
         assert self._positions is not None
         if isinstance(following.term, PositionTermSettings) and self._tracked is None:
@@ -260,7 +260,7 @@ class TrackingRecipe(Recipe):
             with torch.no_grad():
                 reconstruction.parameters.turbulence.zero_()
 
-    def _enter(self, stage: Stage, reconstruction: Reconstruction) -> None:
+    def _enter(self, stage: TrackingStage, reconstruction: Reconstruction) -> None:
         if stage is self._stage:
             return
         scene, settings = reconstruction.scene, stage.term

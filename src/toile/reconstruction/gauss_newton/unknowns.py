@@ -1,4 +1,4 @@
-"""The unknowns of a window in white coordinates: each is a Gaussian prior around its mean."""
+"""The unknowns of a window in standardised coordinates: each is a Gaussian prior around its mean."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class EffectColumns:
 
 
 class WindowUnknowns:
-    """White coordinates of everything that is free between two frames.
+    """Standardised coordinates of everything that is free between two frames.
 
     Args:
         reconstruction: holds the current parameters.
@@ -156,12 +156,12 @@ class WindowUnknowns:
         self._wind = p.wind.detach().numpy().copy()
 
     def start(self) -> Vector:
-        """White coordinates of the current parameters."""
+        """Standardised coordinates of the current parameters."""
         z: Vector = {}
         if self._field is not None:
-            z["turbulence"] = self._field.whiten(self._turbulence.reshape(self.n, *self.grid, 3))
+            z["turbulence"] = self._field.standardise(self._turbulence.reshape(self.n, *self.grid, 3))
         if self._series is not None:
-            z["boundary_motion"] = self._series.whiten(self._boundary)
+            z["boundary_motion"] = self._series.standardise(self._boundary)
         if self.priors.stiffness is not None:
             z["stiffness"] = np.log(self._stiffness / self._mean_stiffness) / self.priors.stiffness
         if self.priors.wind is not None:
@@ -174,13 +174,13 @@ class WindowUnknowns:
         """Turbulent acceleration (n, N, 3) [m/s²]."""
         if self._field is None:
             return self._turbulence
-        return self._field.colour(z["turbulence"]).reshape(self.n, -1, 3)
+        return self._field.restored(z["turbulence"]).reshape(self.n, -1, 3)
 
     def boundary_motion(self, z: Vector) -> Array:
         """Displacement of the pinned vertices (n + 1, n_pinned, 3) [m]."""
         if self._series is None:
             return self._boundary
-        motion = self._series.colour(z["boundary_motion"])
+        motion = self._series.restored(z["boundary_motion"])
         return np.where(self._boundary_free > 0, motion, self._boundary)
 
     def stiffness(self, z: Vector) -> Array:
@@ -203,21 +203,21 @@ class WindowUnknowns:
         return np.clip(values, self._effects.low.numpy(), self._effects.high.numpy())
 
     def within_bounds(self, z: Vector) -> Vector:
-        """White coordinates of the same values, none beyond the effects' bounds."""
+        """Standardised coordinates of the same values, none beyond the effects' bounds."""
         if self._value_deviations is None:
             return z
-        return {**z, "effects": np.clip(z["effects"], *self._white_bounds())}
+        return {**z, "effects": np.clip(z["effects"], *self._standardised_bounds())}
 
     def stopped(self, z: Vector, vector: Vector, gradient: Vector) -> Vector:
         """The vector, 0 where a number is at a bound and a step down the gradient would leave it."""
         if self._value_deviations is None:
             return vector
-        low, high = self._white_bounds()
+        low, high = self._standardised_bounds()
         at, slope = z["effects"], gradient["effects"]
         outwards = ((at <= low) & (slope > 0)) | ((at >= high) & (slope < 0))
         return {**vector, "effects": np.where(outwards, 0.0, vector["effects"])}
 
-    def _white_bounds(self) -> tuple[Array, Array]:
+    def _standardised_bounds(self) -> tuple[Array, Array]:
         low, high = self._effects.low.numpy(), self._effects.high.numpy()
         return (low - self._mean_values) / self._value_deviations, (
             high - self._mean_values
@@ -227,7 +227,7 @@ class WindowUnknowns:
         """What the simulation of the window is given.
 
         Args:
-            z: white coordinates.
+            z: standardised coordinates.
             linearize: prepare for LinearizedRollout.
         """
         r = self.reconstruction
@@ -296,11 +296,11 @@ class WindowUnknowns:
         return self.stiffness(z) * self._stiffness_units
 
     def tangent(self, z: Vector, d: Vector) -> Perturbation:
-        """Change of the rollout's inputs for a change d of the white coordinates at z."""
+        """Change of the rollout's inputs for a change d of the standardised coordinates at z."""
         n_vertices = self._masses.shape[0]
         acceleration = np.zeros((self.n, n_vertices, 3))
         if self._field is not None:
-            acceleration += self._field.colour(d["turbulence"]).reshape(self.n, -1, 3)
+            acceleration += self._field.restored(d["turbulence"]).reshape(self.n, -1, 3)
         blown = np.zeros(3)
         if self.priors.wind is not None:
             blown = self.priors.wind * d["wind"] @ self._horizontal
@@ -309,7 +309,7 @@ class WindowUnknowns:
             stiffness = self.si_stiffness(z) * self.priors.stiffness * d["stiffness"]
         boundary = np.zeros_like(self._boundary)
         if self._series is not None:
-            boundary = self._series.colour(d["boundary_motion"]) * self._boundary_free
+            boundary = self._series.restored(d["boundary_motion"]) * self._boundary_free
         rest = np.zeros((n_vertices, 3))
         if not len(self._effects):
             return Perturbation(self._masses * (acceleration + blown), stiffness, boundary, rest, rest)
@@ -329,13 +329,13 @@ class WindowUnknowns:
         )
 
     def adjoint(self, z: Vector, gradient: Perturbation) -> Vector:
-        """Gradient with respect to the white coordinates from one with respect to the rollout's inputs."""
+        """Gradient by the standardised coordinates from one by the rollout's inputs."""
         acceleration = gradient.forces * self._masses
         out: Vector = {}
         if self._field is not None:
-            out["turbulence"] = self._field.colour_adjoint(acceleration.reshape(self.n, *self.grid, 3))
+            out["turbulence"] = self._field.restored_adjoint(acceleration.reshape(self.n, *self.grid, 3))
         if self._series is not None:
-            out["boundary_motion"] = self._series.colour_adjoint(gradient.boundary * self._boundary_free)
+            out["boundary_motion"] = self._series.restored_adjoint(gradient.boundary * self._boundary_free)
         if self.priors.stiffness is not None:
             out["stiffness"] = gradient.stiffness * self.si_stiffness(z) * self.priors.stiffness
         if self.priors.wind is not None:

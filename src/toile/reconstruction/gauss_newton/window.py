@@ -2,7 +2,7 @@
 
     J(z) = ½ |z|² + image term(x(z)),    (I + Jᵀ A J) s = -(z + Jᵀ g)
 
-z are the white unknowns, x(z) the simulated motion, A and g the image term's Gauss-Newton matrix and
+z are the standardised unknowns, x(z) the simulated motion, A and g the image term's Gauss-Newton matrix and
 gradient, J the Jacobian of the motion. J is never formed: conjugate gradients need one tangent and one
 adjoint rollout per iteration, both from the factorisations that the simulation has left behind.
 """

@@ -10,9 +10,9 @@ import pytest
 import torch
 
 from toile.learning.surrogate.forces import ForceSampler
-from toile.learning.surrogate.pinned_corners import PinnedCornerSampler
 from toile.learning.surrogate.materials import MaterialRanges
 from toile.learning.surrogate.module import SurrogateTraining
+from toile.learning.surrogate.pinned_corners import PinnedCornerSampler
 from toile.learning.surrogate.pool import Pool, PoolSettings
 from toile.learning.surrogate.resets import ResetRules
 from toile.learning.surrogate.rest_shapes import RestShapeSampler

@@ -10,8 +10,8 @@ import torch
 from toile.errors import InputError
 from toile.learning.surrogate.distributions import log_uniform, rotations
 from toile.learning.surrogate.forces import ForceSampler, acceleration_field
-from toile.learning.surrogate.pinned_corners import PinnedCornerSampler, border_lengths, within_reach
 from toile.learning.surrogate.materials import MaterialRanges
+from toile.learning.surrogate.pinned_corners import PinnedCornerSampler, border_lengths, within_reach
 from toile.learning.surrogate.rest_shapes import RestShapeSampler
 
 N = 4000

@@ -96,7 +96,8 @@ class PictureLogger(Callback):
 def _titles(states: ClothStates) -> list[str]:
     rows = zip(states.stiffness.tolist(), states.age.tolist(), states.pinned.sum(1).tolist(), strict=True)
     return [
-        f"Y {y:.3g}, S {s:.3g}, B {b:.3g}, age {age}, {pinned} corners pinned" for (y, s, b), age, pinned in rows
+        f"Y {y:.3g}, S {s:.3g}, B {b:.3g}, age {age}, {pinned} corners pinned"
+        for (y, s, b), age, pinned in rows
     ]
 
 

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from toile.generation.motion import PinnedMotion
-from toile.generation.reality.interface import RealityEffect, places_on
+from toile.generation.out_of_family.interface import OutOfFamilyEffect, places_on
 from toile.generation.simulation import Sheet
 from toile.physics.elements import Elements
 from toile.physics.implicit.integrators import BDF2
@@ -20,9 +20,9 @@ from toile.physics.state import State
 from toile.physics.step_terms import StepContext
 
 
-def simulate_reality(
+def simulate_out_of_family(
     sheet: Sheet,
-    effects: Sequence[RealityEffect],
+    effects: Sequence[OutOfFamilyEffect],
     *,
     pinned_motion: PinnedMotion,
     gravity: Tensor,
@@ -75,8 +75,8 @@ def simulate_reality(
     state = State.start(start, torch.zeros_like(start), step, simulator.n_past)
     constant = masses[:, None] * (gravity + wind)
     motion = [sheet.pose.reshape(-1, 3)]
-    changing = [e for e in effects if type(e).elements is not RealityEffect.elements]
-    pushing = [e for e in effects if type(e).acceleration is not RealityEffect.acceleration]
+    changing = [e for e in effects if type(e).elements is not OutOfFamilyEffect.elements]
+    pushing = [e for e in effects if type(e).acceleration is not OutOfFamilyEffect.acceleration]
     nominal = cloth.energies.elements()
     for n in range(1, n_steps + 1):
         forces = constant
@@ -103,7 +103,7 @@ def simulate_reality(
         result = simulator.step(state, sheet.material, forces[None], boundary[None, n])
         if result.status[0] is not StepStatus.CONVERGED:
             raise SimulationError(
-                f"reality: step {n} of {n_steps} failed ({result.status[0].value}). Try more sub-steps, a "
+                f"generator: step {n} of {n_steps} failed ({result.status[0].value}). Try more sub-steps, a "
                 "weaker effect or another seed."
             )
         state = result.state

@@ -1,4 +1,4 @@
-"""What an effect of the generated reality may change, and what it may know."""
+"""What an effect of the out-of-family generator may change, and what it may know."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Reference:
         return (len(self.motion) - 1) / self.fps
 
 
-class RealityEffect:
+class OutOfFamilyEffect:
     """One effect. Hooks that a class does not override change nothing.
 
     Shapes (directions, places, times) are drawn once from ``rng``; ``strength`` multiplies them, 0 is nothing
@@ -130,7 +130,7 @@ class RealityEffect:
         return gravity
 
     def boundary(self, times: Tensor) -> Tensor | float:
-        """Displacement of the pinned vertices beside their motion, (T, n_pinned, 3) [m], at times (T,) [s]."""
+        """Displacement of the pinned vertices beside their motion (T, n_pinned, 3) [m] at times (T,) [s]."""
         return 0.0
 
     def frame_interval(self, interval: float) -> float:

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from toile.errors import InputError
-from toile.generation.reality.blind_set import (
+from toile.generation.out_of_family.blind_set import (
     WRITTEN_AT,
     full_composition,
     plan,
@@ -18,7 +18,7 @@ from toile.generation.reality.blind_set import (
     tiny_composition,
     write_opaque,
 )
-from toile.generation.reality.catalogue import INSIDE, LEVELS, OUTSIDE
+from toile.generation.out_of_family.catalogue import INSIDE, LEVELS, OUTSIDE
 from toile.scenes.native import load_native
 from toile.scenes.scene import GroundTruth, Scene
 

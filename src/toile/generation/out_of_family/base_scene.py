@@ -24,7 +24,7 @@ Rng = np.random.Generator
 
 
 @dataclass(frozen=True)
-class RealitySettings:
+class OutOfFamilySettings:
     """What is the same for all scenes of a set.
 
     Attributes:
@@ -122,7 +122,7 @@ class BaseScene:
         }
 
 
-def draw_base(setup: RealitySettings, rng: Rng) -> BaseScene:
+def draw_base(setup: OutOfFamilySettings, rng: Rng) -> BaseScene:
     """Draw material, size, wind, motion of the corners, camera, print and noise of one scene.
 
     Raises:

@@ -1,4 +1,4 @@
-"""One scene of the generated reality: motion with and without its effects, film, label."""
+"""One scene of the out-of-family generator: motion with and without its effects, film, label."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ import torch
 from torch import Tensor
 
 from toile.errors import InputError
-from toile.generation.reality.base_scene import BaseScene, RealitySettings, draw_base
-from toile.generation.reality.catalogue import LEVELS, reality_effect
-from toile.generation.reality.film import (
+from toile.generation.out_of_family.base_scene import BaseScene, OutOfFamilySettings, draw_base
+from toile.generation.out_of_family.catalogue import LEVELS, out_of_family_effect
+from toile.generation.out_of_family.film import (
     FilmSettings,
     Print,
     brightness_change,
@@ -23,8 +23,8 @@ from toile.generation.reality.film import (
     framed_camera,
     seen_pixels,
 )
-from toile.generation.reality.interface import Measure, RealityEffect, Reference, places_on
-from toile.generation.reality.simulation import simulate_reality
+from toile.generation.out_of_family.interface import Measure, OutOfFamilyEffect, Reference, places_on
+from toile.generation.out_of_family.simulation import simulate_out_of_family
 from toile.generation.refinement import coarsen, refine, refined_size
 from toile.generation.simulation import Sheet
 from toile.generation.starting_point import StartingPoint, settled_sheet, starting_point
@@ -73,7 +73,7 @@ class MadeScene:
     twin: Tensor
 
 
-def make_scene(setup: RealitySettings, request: SceneRequest) -> MadeScene:
+def make_scene(setup: OutOfFamilySettings, request: SceneRequest) -> MadeScene:
     """Make one scene; the same settings and request give the same scene, bit for bit.
 
     The base scene (material, wind, motion of the corners, print, camera, noise) is drawn from a stream of its
@@ -85,7 +85,7 @@ def make_scene(setup: RealitySettings, request: SceneRequest) -> MadeScene:
         SimulationError: no scene after several draws.
     """
     for name, level in request.effects:
-        reality_effect(name)
+        out_of_family_effect(name)
         if level not in LEVELS:
             raise InputError("No such level", where="effects", expected=", ".join(LEVELS), got=level)
     for attempt in range(len(_SMALLEST_SHARES)):
@@ -101,7 +101,9 @@ def make_scene(setup: RealitySettings, request: SceneRequest) -> MadeScene:
 class _Maker:
     """One attempt at one scene."""
 
-    def __init__(self, setup: RealitySettings, base: BaseScene, request: SceneRequest, attempt: int) -> None:
+    def __init__(
+        self, setup: OutOfFamilySettings, base: BaseScene, request: SceneRequest, attempt: int
+    ) -> None:
         self.setup, self.base, self.request = setup, base, request
         self.settings = base.settings
         self.attempt = attempt
@@ -125,10 +127,10 @@ class _Maker:
             pinned=self.start.pinned,
         )
 
-    def run(self, sheet: Sheet, effects: Sequence[RealityEffect], substeps: int) -> Tensor:
+    def run(self, sheet: Sheet, effects: Sequence[OutOfFamilyEffect], substeps: int) -> Tensor:
         """Simulate; every sub-step."""
         s = self.settings
-        return simulate_reality(
+        return simulate_out_of_family(
             sheet,
             effects,
             pinned_motion=s.pinned_motion,
@@ -194,14 +196,14 @@ class _Maker:
         )
         return MadeScene(scene, self._label(effects, truth, twin), truth, twin)
 
-    def _of_level(self, name: str, level: str) -> RealityEffect:
+    def _of_level(self, name: str, level: str) -> OutOfFamilyEffect:
         """An effect with the strength at which it is as large as the level says."""
-        kind = reality_effect(name)
+        kind = out_of_family_effect(name)
         effect = kind(self.rng, self.reference)
         target = kind.LEVELS[LEVELS.index(level)]
         if kind.MEASURE in (Measure.EXPOSURE, Measure.EDGE, Measure.COVER):
             return effect.scaled(target / (100 if kind.MEASURE is Measure.EXPOSURE else 1))
-        size: Callable[[RealityEffect], float] = {
+        size: Callable[[OutOfFamilyEffect], float] = {
             Measure.MOTION: self._motion_gap,
             Measure.PIXELS: self._pixel_gap,
             Measure.BRIGHTNESS: lambda e: brightness_change(e, self.coarse_twin),
@@ -212,8 +214,8 @@ class _Maker:
         return effect.scaled(found)
 
     def _corrected(
-        self, effect: RealityEffect, motion: Tensor, twin: Tensor
-    ) -> tuple[tuple[RealityEffect, ...], Tensor]:
+        self, effect: OutOfFamilyEffect, motion: Tensor, twin: Tensor
+    ) -> tuple[tuple[OutOfFamilyEffect, ...], Tensor]:
         """One more step towards the level, where the fine grid answers otherwise than the fit's."""
         substeps, width = self.settings.substeps, self.reference.width
         target = effect.LEVELS[LEVELS.index(self.request.effects[0][1])]
@@ -232,13 +234,13 @@ class _Maker:
             return (other,), other_motion
         return (effect,), motion
 
-    def _motion_gap(self, effect: RealityEffect) -> float:
+    def _motion_gap(self, effect: OutOfFamilyEffect) -> float:
         """Mean displacement against the twin in the last third, on the fit's grid [% of the width]."""
         steps = self.setup.coarse_substeps
         motion = self.run(self.coarse, (effect,), steps)[::steps]
         return _last_third(motion, self.coarse_twin, self.reference.width)
 
-    def _pixel_gap(self, effect: RealityEffect) -> float:
+    def _pixel_gap(self, effect: OutOfFamilyEffect) -> float:
         """Mean displacement in the image [% of the cloth's width in it]."""
         camera = framed_camera(self.start.camera, self.coarse_twin, self.setup.image_side)
         plain = camera.project(self.coarse_twin)
@@ -265,7 +267,7 @@ class _Maker:
         if float(outside.mean((1, 2)).max()) > 0.03:
             raise SimulationError("the cloth leaves the image")
 
-    def _label(self, effects: Sequence[RealityEffect], truth: Tensor, twin: Tensor) -> dict[str, Any]:
+    def _label(self, effects: Sequence[OutOfFamilyEffect], truth: Tensor, twin: Tensor) -> dict[str, Any]:
         width = self.reference.width
         distance = 100 * (truth - twin).norm(dim=-1) / width
         places = places_on(self.settings.grid)
@@ -297,11 +299,11 @@ class _Maker:
             },
             "grid_share": grid_share,
             "base": self.base.describe(),
-            "generator": "reality",
+            "generator": "toile",
             "seed": self.request.seed,
         }
 
-    def _alone(self, effect: RealityEffect, gap: float | None) -> dict[str, Any]:
+    def _alone(self, effect: OutOfFamilyEffect, gap: float | None) -> dict[str, Any]:
         """Size of one effect in what its strength is named in; of two in motion, each on the fit's grid."""
         match effect.MEASURE:
             case Measure.MOTION:
@@ -359,7 +361,7 @@ def strength_of(
     return min(tried, key=lambda sv: abs(math.log(sv[1] / target)))
 
 
-def _moves(effect: RealityEffect) -> bool:
+def _moves(effect: OutOfFamilyEffect) -> bool:
     return effect.MEASURE is Measure.MOTION
 
 
@@ -377,9 +379,9 @@ def _joined(masks: Sequence[Tensor | None]) -> Tensor | None:
 
 
 def development_scene(
-    effect: str, level: str = "medium", seed: int = 0, setup: RealitySettings | None = None
+    effect: str, level: str = "medium", seed: int = 0, setup: OutOfFamilySettings | None = None
 ) -> MadeScene:
     """A scene of one effect ("none" for none), for development."""
     effects = () if effect == "none" else ((effect, level),)
-    setup = setup or RealitySettings(templates=())
+    setup = setup or OutOfFamilySettings(templates=())
     return make_scene(setup, SceneRequest(f"{effect}_{level}_{seed}", effects, seed))

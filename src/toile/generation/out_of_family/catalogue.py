@@ -1,11 +1,11 @@
-"""All effects of the reality by name."""
+"""All effects of the out-of-family generator by name."""
 
 from __future__ import annotations
 
 from toile.errors import InputError
-from toile.generation.reality.actuation import Gusts, StickSlip
-from toile.generation.reality.interface import RealityEffect
-from toile.generation.reality.mechanics import (
+from toile.generation.out_of_family.actuation import Gusts, StickSlip
+from toile.generation.out_of_family.interface import OutOfFamilyEffect
+from toile.generation.out_of_family.mechanics import (
     CurvedBand,
     ExponentialStiffening,
     HeavyPatches,
@@ -17,14 +17,14 @@ from toile.generation.reality.mechanics import (
     TwoRatioAnisotropy,
     WrongFrameRate,
 )
-from toile.generation.reality.optics import (
+from toile.generation.out_of_family.optics import (
     Lambert,
     RaggedMask,
     SubFrameBlur,
     TangentialLens,
     WrongFocalLength,
 )
-from toile.generation.reality.outside import (
+from toile.generation.out_of_family.outside import (
     InternalPressure,
     Occluder,
     PlasticCreases,
@@ -32,7 +32,7 @@ from toile.generation.reality.outside import (
     Vortex,
 )
 
-_ALL: tuple[type[RealityEffect], ...] = (
+_ALL: tuple[type[OutOfFamilyEffect], ...] = (
     MixedDrag,
     ThinningDamping,
     TwoRatioAnisotropy,
@@ -57,23 +57,23 @@ _ALL: tuple[type[RealityEffect], ...] = (
     Occluder,
 )
 
-REALITY_EFFECTS: dict[str, type[RealityEffect]] = {effect.NAME: effect for effect in _ALL}
+OUT_OF_FAMILY_EFFECTS: dict[str, type[OutOfFamilyEffect]] = {effect.NAME: effect for effect in _ALL}
 INSIDE = tuple(effect.NAME for effect in _ALL if not effect.OUTSIDE)
 OUTSIDE = tuple(effect.NAME for effect in _ALL if effect.OUTSIDE)
 LEVELS = ("weak", "medium", "strong")
 
 
-def reality_effect(name: str) -> type[RealityEffect]:
+def out_of_family_effect(name: str) -> type[OutOfFamilyEffect]:
     """The class of that name.
 
     Raises:
         InputError: there is none.
     """
-    if name not in REALITY_EFFECTS:
+    if name not in OUT_OF_FAMILY_EFFECTS:
         raise InputError(
-            "No such effect in the generated reality",
+            "No such effect in the out-of-family generator",
             where="effects",
-            expected=", ".join(REALITY_EFFECTS),
+            expected=", ".join(OUT_OF_FAMILY_EFFECTS),
             got=name,
         )
-    return REALITY_EFFECTS[name]
+    return OUT_OF_FAMILY_EFFECTS[name]

@@ -10,11 +10,11 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter
 from torch import Tensor
 
 from toile.effects.base import Stage
-from toile.generation.reality.interface import Array, Measure, RealityEffect, Rng, unit
+from toile.generation.out_of_family.interface import Array, Measure, OutOfFamilyEffect, Rng, unit
 from toile.geometry.camera import Camera
 
 
-class WrongFocalLength(RealityEffect):
+class WrongFocalLength(OutOfFamilyEffect):
     """A focal length that differs from the declared one, by slightly different factors along x and y."""
 
     NAME = "focal_error"
@@ -38,7 +38,7 @@ class WrongFocalLength(RealityEffect):
         return {"ratio": math.exp(0.05 * self.sign * self.strength), "aspect": self.aspect}
 
 
-class TangentialLens(RealityEffect):
+class TangentialLens(OutOfFamilyEffect):
     """Radial distortion of two orders with a tangential part (a lens that is not centred)."""
 
     NAME = "lens_distortion"
@@ -70,7 +70,7 @@ class TangentialLens(RealityEffect):
         return {"k1": s * self.radial, "k2": s * self.second, "p": (s * self.tangential).tolist()}
 
 
-class Lambert(RealityEffect):
+class Lambert(OutOfFamilyEffect):
     """Diffuse light from one side beside ambient light; no cast shadows."""
 
     NAME = "shading"
@@ -93,7 +93,7 @@ class Lambert(RealityEffect):
         return {"lambert": 1.6 * self.strength, "ambient": 1 - self.strength, "light": self.light.tolist()}
 
 
-class SubFrameBlur(RealityEffect):
+class SubFrameBlur(OutOfFamilyEffect):
     """Motion blur as the mean of renders within the exposure."""
 
     NAME = "motion_blur"
@@ -115,7 +115,7 @@ class SubFrameBlur(RealityEffect):
         return {"exposure": self.exposure()}
 
 
-class RaggedMask(RealityEffect):
+class RaggedMask(OutOfFamilyEffect):
     """A mask whose edge is moved outwards or inwards, unevenly along the edge and over time."""
 
     NAME = "mask_bias"

@@ -9,19 +9,19 @@ import torch
 from torch import Tensor
 
 from toile.effects.base import Stage
-from toile.generation.reality.interface import (
+from toile.generation.out_of_family.interface import (
     Array,
     Measure,
-    RealityEffect,
+    OutOfFamilyEffect,
     Rng,
     unit,
 )
-from toile.generation.reality.mechanics import bending_force, bends
+from toile.generation.out_of_family.mechanics import bending_force, bends
 from toile.physics.elements import Elements
 from toile.physics.step_terms import StepContext
 
 
-class PlasticCreases(RealityEffect):
+class PlasticCreases(OutOfFamilyEffect):
     """Bends that stay: beyond a yield angle the rest angle follows the bend."""
 
     NAME = "plastic_creases"
@@ -66,7 +66,7 @@ class PlasticCreases(RealityEffect):
         }
 
 
-class InternalPressure(RealityEffect):
+class InternalPressure(OutOfFamilyEffect):
     """More pressure on one side than on the other, pulsing slowly; it follows the normals."""
 
     NAME = "internal_pressure"
@@ -90,7 +90,7 @@ class InternalPressure(RealityEffect):
         return {"acceleration": self.sign * self.strength, "frequency": self.frequency}
 
 
-class Vortex(RealityEffect):
+class Vortex(OutOfFamilyEffect):
     """Air that turns about an axis before the cloth and pushes it across its surface."""
 
     NAME = "vortex_field"
@@ -126,7 +126,7 @@ class Vortex(RealityEffect):
         }
 
 
-class Shrinking(RealityEffect):
+class Shrinking(OutOfFamilyEffect):
     """Cloth whose sides become shorter while it is filmed."""
 
     NAME = "shrinking"
@@ -153,7 +153,7 @@ class Shrinking(RealityEffect):
         return {"shares": (0.02 * self.strength * self.ratios).tolist(), "begin": self.begin_time}
 
 
-class Occluder(RealityEffect):
+class Occluder(OutOfFamilyEffect):
     """Something that passes before the cloth and that the mask takes for cloth."""
 
     NAME = "unmasked_occluder"

@@ -9,12 +9,12 @@ import torch
 from torch import Tensor
 
 from toile.effects.base import Stage
-from toile.generation.reality.interface import RealityEffect, Rng, pulse
+from toile.generation.out_of_family.interface import OutOfFamilyEffect, Rng, pulse
 from toile.geometry.horizontal import horizontal_axes
 from toile.physics.step_terms import StepContext
 
 
-class StickSlip(RealityEffect):
+class StickSlip(OutOfFamilyEffect):
     """A pinned corner that slips through its grip in jumps, inwards and down."""
 
     NAME = "anchor_slip"
@@ -68,7 +68,7 @@ class StickSlip(RealityEffect):
         return times > float(self.times[0])
 
 
-class Gusts(RealityEffect):
+class Gusts(OutOfFamilyEffect):
     """Band-limited noise plus two pulses of a uniform force per mass, across gravity."""
 
     NAME = "gusts"

@@ -10,8 +10,8 @@ import torch
 from scipy.ndimage import gaussian_filter
 from torch import Tensor
 
-from toile.generation.reality.interface import RealityEffect
-from toile.generation.reality.optics import RaggedMask
+from toile.generation.out_of_family.interface import OutOfFamilyEffect
+from toile.generation.out_of_family.optics import RaggedMask
 from toile.geometry.camera import Camera
 from toile.geometry.mesh import grid_faces, vertex_normals
 from toile.rendering.warp import WarpRenderer
@@ -71,7 +71,7 @@ def film(
     printed: Print,
     motion: Tensor,
     substeps: int,
-    effects: Sequence[RealityEffect],
+    effects: Sequence[OutOfFamilyEffect],
 ) -> tuple[Tensor, Tensor]:
     """Frames (F, h, w, 3) and masks (F, h, w), rounded to 8 bits, of a motion with its sub-steps."""
     H, W = motion.shape[1:3]
@@ -79,7 +79,7 @@ def film(
     renderer = WarpRenderer(settings.supersampling)
     rng = np.random.default_rng([settings.seed, 1])
     exposure = max((e.exposure() for e in effects), default=0.0)
-    shaders = [e for e in effects if type(e).brightness is not RealityEffect.brightness]
+    shaders = [e for e in effects if type(e).brightness is not OutOfFamilyEffect.brightness]
     widths = camera.project(motion[0])
     width_px = float((widths[-1] - widths[0]).norm(dim=-1).mean())
     for effect in effects:
@@ -124,7 +124,7 @@ def film(
     return torch.stack(frames), torch.stack(masks)
 
 
-def seen_pixels(positions: Tensor, camera: Camera, effects: Sequence[RealityEffect]) -> Tensor:
+def seen_pixels(positions: Tensor, camera: Camera, effects: Sequence[OutOfFamilyEffect]) -> Tensor:
     """Where points (..., 3) [m] are seen by the camera as it really is, (..., 2) [px]."""
     pixels = camera.project(positions)
     for effect in effects:
@@ -132,7 +132,7 @@ def seen_pixels(positions: Tensor, camera: Camera, effects: Sequence[RealityEffe
     return pixels
 
 
-def brightness_change(effect: RealityEffect, motion: Tensor) -> float:
+def brightness_change(effect: OutOfFamilyEffect, motion: Tensor) -> float:
     """Mean relative change of brightness in the last third against frame 0 [%], for a motion (F, H, W, 3)."""
     faces = grid_faces(motion.shape[1], motion.shape[2])
     first = effect.brightness(_facing_normals(motion[0].reshape(-1, 3), faces))
@@ -145,7 +145,7 @@ def brightness_change(effect: RealityEffect, motion: Tensor) -> float:
     return 100 * float(torch.stack(changes).mean())
 
 
-def _seen(positions: Tensor, camera: Camera, effects: Sequence[RealityEffect]) -> Tensor:
+def _seen(positions: Tensor, camera: Camera, effects: Sequence[OutOfFamilyEffect]) -> Tensor:
     """Points at the same depth that the declared camera projects to where the true one sees them."""
     pixels = seen_pixels(positions, camera, effects)
     z = positions[..., 2]
@@ -160,7 +160,7 @@ def _facing_normals(positions: Tensor, faces: Tensor) -> Tensor:
     return torch.where(towards > 0, -normals, normals)
 
 
-def _mean_brightness(effect: RealityEffect, pose: Tensor, faces: Tensor) -> float:
+def _mean_brightness(effect: OutOfFamilyEffect, pose: Tensor, faces: Tensor) -> float:
     """Mean factor at frame 0: the camera's exposure is set by it."""
     factor = effect.brightness(_facing_normals(pose.reshape(-1, 3), faces))
     assert factor is not None

@@ -1,4 +1,4 @@
-"""The generated reality: effects do something, matched scenes, labels that are true."""
+"""The out-of-family generator: effects do something, matched scenes, labels that are true."""
 
 from __future__ import annotations
 
@@ -10,23 +10,28 @@ import pytest
 import torch
 
 from toile.errors import InputError
-from toile.generation.reality.base_scene import draw_base, draw_motion
-from toile.generation.reality.catalogue import INSIDE, OUTSIDE, REALITY_EFFECTS, reality_effect
-from toile.generation.reality.interface import Measure, Reference, places_on
-from toile.generation.reality.making import (
+from toile.generation.out_of_family.base_scene import draw_base, draw_motion
+from toile.generation.out_of_family.catalogue import (
+    INSIDE,
+    OUT_OF_FAMILY_EFFECTS,
+    OUTSIDE,
+    out_of_family_effect,
+)
+from toile.generation.out_of_family.interface import Measure, Reference, places_on
+from toile.generation.out_of_family.making import (
     MadeScene,
-    RealitySettings,
+    OutOfFamilySettings,
     SceneRequest,
     development_scene,
     make_scene,
     strength_of,
 )
-from toile.generation.reality.simulation import simulate_reality
+from toile.generation.out_of_family.simulation import simulate_out_of_family
 from toile.generation.simulation import Sheet
 from toile.physics.cloth import grid_material
 from toile.physics.implicit.newton import NewtonSettings
 
-SETUP = RealitySettings(
+SETUP = OutOfFamilySettings(
     grid=(7, 7),
     substeps=3,
     coarse_substeps=3,
@@ -50,7 +55,7 @@ def sheet() -> Sheet:
 
 
 def simulated(*effects) -> torch.Tensor:
-    motion = simulate_reality(
+    motion = simulate_out_of_family(
         sheet(),
         effects,
         pinned_motion=draw_motion(np.random.default_rng(1)),
@@ -76,13 +81,13 @@ def reference(twin: torch.Tensor) -> Reference:
     return Reference(twin, SIZE, gravity, FPS, tuple(s.cloth.pinned.tolist()))
 
 
-MOVING = [name for name, kind in REALITY_EFFECTS.items() if kind.MEASURE is Measure.MOTION]
+MOVING = [name for name, kind in OUT_OF_FAMILY_EFFECTS.items() if kind.MEASURE is Measure.MOTION]
 
 
 @pytest.mark.parametrize("name", MOVING)
 def test_effects_that_move_the_cloth(name, twin, reference) -> None:
     """Nothing without strength; more with more; frame 0 is that of the twin."""
-    effect = reality_effect(name)(np.random.default_rng(5), reference)
+    effect = out_of_family_effect(name)(np.random.default_rng(5), reference)
     gaps = []
     for strength in (0.0, 0.1 * effect.LIMIT, 0.5 * effect.LIMIT if effect.LIMIT < 5 else 2.0):
         motion = simulated(effect.scaled(strength))
@@ -95,20 +100,20 @@ def test_effects_that_move_the_cloth(name, twin, reference) -> None:
 
 
 def test_drag_takes_energy(twin, reference) -> None:
-    drag = reality_effect("air_drag")(np.random.default_rng(5), reference)
+    drag = out_of_family_effect("air_drag")(np.random.default_rng(5), reference)
     slow = simulated(drag.scaled(3.0))
     speed = [float(m.diff(dim=0)[1:].norm(dim=-1).mean()) for m in (slow, twin)]
     assert speed[0] < speed[1]
 
 
 def test_shrinking_shortens_edges(twin, reference) -> None:
-    shrunk = simulated(reality_effect("shrinking")(np.random.default_rng(5), reference).scaled(4.0))
+    shrunk = simulated(out_of_family_effect("shrinking")(np.random.default_rng(5), reference).scaled(4.0))
     length = [float(m[-1].diff(dim=1).norm(dim=-1).mean()) for m in (shrunk, twin)]
     assert length[0] < 0.99 * length[1]
 
 
 def test_contact_stays_outside(twin, reference) -> None:
-    contact = reality_effect("contact")(np.random.default_rng(2), reference).scaled(0.9)
+    contact = out_of_family_effect("contact")(np.random.default_rng(2), reference).scaled(0.9)
     assert float(contact._gap(twin.reshape(-1, 3))[0].min()) < -1e-3  # the twin would go through
     motion = simulated(contact)
     assert float(contact._gap(motion[0].reshape(-1, 3))[0].min()) > 0
@@ -117,7 +122,7 @@ def test_contact_stays_outside(twin, reference) -> None:
 
 
 def test_slip_moves_one_corner_in_jumps(reference) -> None:
-    slip = reality_effect("anchor_slip")(np.random.default_rng(5), reference)
+    slip = out_of_family_effect("anchor_slip")(np.random.default_rng(5), reference)
     times = torch.linspace(0, reference.duration, 200, dtype=torch.float64)
     path = slip.boundary(times)[:, slip.corner] @ slip.direction
     assert float(slip.boundary(times)[:, 1 - slip.corner].abs().max()) == 0.0
@@ -132,9 +137,9 @@ def test_names_are_those_of_the_catalogue() -> None:
     assert set(INSIDE) == set(STAGES)
     assert not set(OUTSIDE) & set(STAGES)
     for name in INSIDE:
-        assert reality_effect(name).STAGE is STAGES[name]
+        assert out_of_family_effect(name).STAGE is STAGES[name]
     with pytest.raises(InputError, match="ghost"):
-        reality_effect("ghost")
+        out_of_family_effect("ghost")
 
 
 def test_base_scene_does_not_depend_on_the_effect() -> None:

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from toile.effects.base import Stage
-from toile.generation.reality.interface import (
-    RealityEffect,
+from toile.generation.out_of_family.interface import (
+    OutOfFamilyEffect,
     Rng,
     places_of,
 )
@@ -19,7 +19,7 @@ from toile.physics.elements import Elements
 from toile.physics.step_terms import StepContext
 
 
-class MixedDrag(RealityEffect):
+class MixedDrag(OutOfFamilyEffect):
     """Drag that grows with |v|^1.5, mostly across the surface: -c |v|^½ (n (n·v) + r (v - n (n·v)))."""
 
     NAME = "air_drag"
@@ -43,7 +43,7 @@ class MixedDrag(RealityEffect):
         return {"coefficient": 3.0 * self.strength, "power": 1.5, "tangential_share": self.tangential}
 
 
-class ThinningDamping(RealityEffect):
+class ThinningDamping(OutOfFamilyEffect):
     """Kelvin-Voigt damping with one time per kind of element; it thins as the rate grows.
 
     Implicit: a damped spring of rest length L and relaxation time τ is over one step a stiffer spring,
@@ -92,7 +92,7 @@ class ThinningDamping(RealityEffect):
         return {"times": (self.strength * self.times).tolist(), "half_rate": self.half_rate}
 
 
-class TwoRatioAnisotropy(RealityEffect):
+class TwoRatioAnisotropy(OutOfFamilyEffect):
     """One direction stiffer than the other, by different ratios in stretching and bending."""
 
     NAME = "anisotropic_stiffness"
@@ -120,7 +120,7 @@ class TwoRatioAnisotropy(RealityEffect):
         return {"stretching_ratio": a, "bending_ratio": b}
 
 
-class ExponentialStiffening(RealityEffect):
+class ExponentialStiffening(OutOfFamilyEffect):
     """Stiffness that grows exponentially with stretch and shear (in tension and in either sense)."""
 
     NAME = "strain_stiffening"
@@ -147,7 +147,7 @@ class ExponentialStiffening(RealityEffect):
         return {"stretch_rate": a, "shear_rate": b}
 
 
-class CurvedBand(RealityEffect):
+class CurvedBand(OutOfFamilyEffect):
     """A band across the cloth that is curved at rest, towards one side."""
 
     NAME = "rest_curvature"
@@ -185,7 +185,7 @@ class CurvedBand(RealityEffect):
         return (places[:, self.axis] - self.centre).abs() <= 0.5 * self.width
 
 
-class _Blobs(RealityEffect):
+class _Blobs(OutOfFamilyEffect):
     """Two or three round patches in which something differs."""
 
     STAGE = Stage.MECHANICS
@@ -244,7 +244,7 @@ class StiffPatches(_Blobs):
         )
 
 
-class PenaltyContact(RealityEffect):
+class PenaltyContact(OutOfFamilyEffect):
     """A plane or a sphere in the way, with a penalty force, a damper and regularised Coulomb friction.
 
     The strength says how far the obstacle reaches into the space that the cloth would sweep: 0 not at all,
@@ -322,7 +322,7 @@ class PenaltyContact(RealityEffect):
         return {**shape, "offset": self.offset + (1 - min(self.strength, 1.0)) * self.range}
 
 
-class TiltedGravity(RealityEffect):
+class TiltedGravity(OutOfFamilyEffect):
     """Gravity in another direction than declared."""
 
     NAME = "gravity_tilt"
@@ -345,7 +345,7 @@ class TiltedGravity(RealityEffect):
         return {"degrees": 2 * self.strength, "towards": self.towards.tolist()}
 
 
-class WrongFrameRate(RealityEffect):
+class WrongFrameRate(OutOfFamilyEffect):
     """Frames that are further apart in time, or closer, than declared."""
 
     NAME = "frame_rate"

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from toile.errors import InputError
-from toile.generation.reality.catalogue import INSIDE, LEVELS, OUTSIDE
+from toile.generation.out_of_family.catalogue import INSIDE, LEVELS, OUTSIDE
 from toile.scenes.native import write_native
 from toile.scenes.scene import Scene
 
@@ -73,13 +73,13 @@ class PlannedScene:
         name: opaque.
         effects: (name, level) pairs.
         seed: of everything random in it.
-        generator: "reality" or "blender".
+        generator: "toile" or "blender".
     """
 
     name: str
     effects: Effects
     seed: int
-    generator: str = "reality"
+    generator: str = "toile"
 
 
 def plan(composition: Composition, secret: Callable[[str], bytes]) -> tuple[PlannedScene, ...]:
@@ -105,7 +105,7 @@ def plan(composition: Composition, secret: Callable[[str], bytes]) -> tuple[Plan
             name=secret(f"name {k}").hex()[:6],
             effects=effects,
             seed=_number(secret(f"seed {k}")),
-            generator="blender" if blender[k] else "reality",
+            generator="blender" if blender[k] else "toile",
         )
         for k, effects in enumerate(kinds)
     ]

@@ -1,4 +1,4 @@
-"""Scenes of a blind set that Blender makes, in the shape of those of the package's own reality."""
+"""Scenes of a blind set that Blender makes, in the shape of those of our own generator."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from toile.generation.blender import process
 from toile.generation.blender.effects import effect_named
 from toile.generation.blender.scene import TWIN_FILE, blender_scene, matched
 from toile.generation.blender.settings import random_settings
-from toile.generation.reality.blind_set import PlannedScene
-from toile.generation.reality.catalogue import LEVELS, reality_effect
-from toile.generation.reality.interface import Measure
-from toile.generation.reality.making import MadeScene
+from toile.generation.out_of_family.blind_set import PlannedScene
+from toile.generation.out_of_family.catalogue import LEVELS, out_of_family_effect
+from toile.generation.out_of_family.interface import Measure
+from toile.generation.out_of_family.making import MadeScene
 from toile.scenes.native import load_native
 
 _ATTEMPTS = 6
@@ -61,8 +61,8 @@ def make_with_blender(planned: PlannedScene, *, small: bool = False) -> MadeScen
         seed = (planned.seed + attempt) % 2**31
         settings = random_settings(seed, name, name=planned.name, small=small)
         try:
-            if name != "none" and reality_effect(name).MEASURE is Measure.MOTION:
-                gap = reality_effect(name).LEVELS[LEVELS.index(level)] / 100
+            if name != "none" and out_of_family_effect(name).MEASURE is Measure.MOTION:
+                gap = out_of_family_effect(name).LEVELS[LEVELS.index(level)] / 100
                 settings = matched(settings, gap)
             elif name != "none":
                 # Optical effects have no size in the motion; the level scales their usual numbers.
@@ -91,7 +91,7 @@ def make_with_blender(planned: PlannedScene, *, small: bool = False) -> MadeScen
 
 
 def _common(label: dict[str, Any], planned: PlannedScene) -> dict[str, Any]:
-    """The label with the keys and units of the package's own reality."""
+    """The label with the keys and units of the package's out-of-family generator."""
     names = [name for name, _ in planned.effects]
     magnitude = dict(label["magnitude"])
     for key in ("mean_last_third", "max_last_third", "mean_all", "max_all"):
