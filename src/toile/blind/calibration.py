@@ -21,8 +21,8 @@ from pydantic import Field
 from scipy.optimize import brute
 
 from toile.atomic_file import write_text
+from toile.diagnosis.arrays import SCREENING_FILE
 from toile.diagnosis.decision import NONE, UNKNOWN, Calibration, Weights, probabilities, tempered
-from toile.diagnosis.diagnose import SCREENING_FILE
 from toile.diagnosis.effect_columns import FORCES
 from toile.diagnosis.made_with import MADE_WITH_FILE, MadeWith
 from toile.diagnosis.record import Verdict

@@ -63,6 +63,11 @@ class Mechanics:
     effects: dict[str, Effect]
     around: Surroundings
 
+    @property
+    def width(self) -> float:
+        """Of the cloth [m]."""
+        return self.around.cloth_size[0]
+
 
 def substeps_per_frame(fps: float, longest: float) -> int:
     """Sub-steps no longer than ``longest`` [s]."""

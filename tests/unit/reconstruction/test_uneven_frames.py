@@ -12,7 +12,8 @@ from omegaconf import OmegaConf
 
 from toile.cli.fit import frame_steps
 from toile.cli.fit_results import residual_force
-from toile.diagnosis.diagnose import DiagnosisSettings, diagnose
+from toile.diagnosis.diagnose import diagnose
+from toile.diagnosis.settings import DiagnosisSettings
 from toile.effects.frame_rate import FrameRate
 from toile.errors import InputError
 from toile.physics.frame_steps import FrameSteps
