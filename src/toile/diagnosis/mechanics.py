@@ -35,6 +35,7 @@ from toile.diagnosis.workers import ALONE, Workers
 from toile.effects.base import CameraEffect, Effect, Surroundings
 from toile.geometry.camera import Camera
 from toile.geometry.horizontal import horizontal_axes
+from toile.physics.frame_steps import fewest_substeps
 from toile.physics.implicit.integrators import BDF2
 from toile.physics.implicit.newton import NewtonSettings
 from toile.physics.implicit.simulator import ImplicitSimulator
@@ -67,11 +68,6 @@ class Mechanics:
     def width(self) -> float:
         """Of the cloth [m]."""
         return self.around.cloth_size[0]
-
-
-def substeps_per_frame(fps: float, longest: float) -> int:
-    """Sub-steps no longer than ``longest`` [s]."""
-    return max(1, int(np.ceil(1 / fps / longest - 1e-9)))
 
 
 def analyse_mechanics(
@@ -131,7 +127,7 @@ def shooting_of(
         settings: see ShootingSettings.
         longest_substep: [s].
     """
-    substeps = substeps_per_frame(scene.fps, longest_substep)
+    substeps = fewest_substeps(1 / scene.fps, longest_substep)
     gravity = scene.gravity.numpy().astype(np.float64)
     horizontal = horizontal_axes(torch.from_numpy(gravity)).numpy()
     tension = template_tension(grid.cloth, tracked.positions[0], gravity, horizontal, settings.tension_ridge)

@@ -14,7 +14,7 @@ from toile.diagnosis.findings import mechanical_findings
 from toile.diagnosis.fingerprint import fingerprint
 from toile.diagnosis.gap_maps import GapMaps, gap_maps
 from toile.diagnosis.image_cues import image_findings
-from toile.diagnosis.mechanics import analyse_mechanics, substeps_per_frame
+from toile.diagnosis.mechanics import analyse_mechanics
 from toile.diagnosis.numerics import time_step_error
 from toile.diagnosis.pipeline import PipelineStage, Progress
 from toile.diagnosis.problem import DiagnosisProblem
@@ -30,6 +30,7 @@ from toile.diagnosis.results import (
 from toile.diagnosis.shrinkage import HeldOut, held_out_shrinks, prediction_gains
 from toile.diagnosis.tracked import track
 from toile.diagnosis.workers import ALONE, Workers
+from toile.physics.frame_steps import fewest_substeps
 from toile.reconstruction.lost_cloth import first_lost, outline_overlap
 
 Inputs = TypeVarTuple("Inputs")
@@ -177,7 +178,7 @@ class DiagnosisStages:
                 settings.refinement,
                 settings.evidence,
             )
-            finer = found.shooting.substeps // substeps_per_frame(scene.fps, settings.longest_substep)
+            finer = found.shooting.substeps // fewest_substeps(1 / scene.fps, settings.longest_substep)
             return BaseModel(found.fit, finer.bit_length() - 1, found.evidence.systems)
 
         # Whoever the candidates are: the base model hangs on the fitted frames only.
