@@ -17,8 +17,7 @@ from toile.diagnosis.effect_columns import derivatives
 from toile.effects.base import BrightnessEffect, Effect
 from toile.geometry.mesh import grid_faces, vertex_normals
 from toile.limits import Count, Fraction, NonNegative, Positive, Unit
-from toile.reconstruction.gauss_newton.recipe import visible
-from toile.reconstruction.image_terms.texture_points import grid_points
+from toile.reconstruction.image_terms.texture_points import grid_points, visible
 from toile.reconstruction.problem import Reconstruction
 
 Array = NDArray[np.float64]
