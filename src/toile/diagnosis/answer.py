@@ -84,7 +84,7 @@ def weighed(
 
 
 def best_scoring(screening: Screening, least: float) -> dict[str, tuple[int, ...]]:
-    """Free numbers of the effects that are worth a fit of their own, the best-scoring first.
+    """Free coefficients of the effects that are worth a fit of their own, the best-scoring first.
 
     Args:
         screening: to first order.

@@ -142,7 +142,7 @@ def check_problem(
 
     Raises:
         InputError: unevenly spaced frames, too few of them, another simulator than the base model has,
-            effects that act while the motion is tracked, no candidates, or candidates with numbers.
+            effects that act while the motion is tracked, no candidates, or candidates that are not at zero.
     """
     _require_even_spacing(reconstruction.scene)
     fitted_frames(reconstruction.scene.n_frames, settings.held_out, settings.fewest_frames)
@@ -171,17 +171,17 @@ def check_problem(
         )
     for effect in effects:
         if not effect.is_identity:
-            numbers = zip(effect.parameters, effect.values.tolist(), strict=True)
+            values = zip(effect.parameters, effect.values.tolist(), strict=True)
             raise InputError(
                 "Candidates start from zero: the question is whether they act at all",
                 where=f"candidates.{effect.NAME}.values",
                 expected="0 for every one; the diagnosis estimates them",
-                got=", ".join(f"{p.name}: {value:g}" for p, value in numbers if value),
+                got=", ".join(f"{p.name}: {value:g}" for p, value in values if value),
             )
 
 
 def _require_even_spacing(scene: Scene) -> None:
-    # Windows, ramps, effect columns and the held-out end all count frames as time.
+    # Windows, ramps, effect sensitivities and the held-out end all count frames as time.
     if scene.times is None:
         return
     intervals = 1e3 * scene.times.diff()

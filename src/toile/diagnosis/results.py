@@ -65,7 +65,7 @@ class ConvergedBase:
 
     Attributes:
         fit: see BaseFit.
-        systems: around it, with the columns of all effects.
+        systems: around it, with the coefficients of all effects.
         screening: what effects gain to first order around there.
     """
 

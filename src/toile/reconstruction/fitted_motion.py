@@ -110,7 +110,7 @@ def fitted_parameters(reconstruction: Reconstruction) -> dict[str, npt.ArrayLike
     }
     for name in p.STIFFNESSES:
         result[f"{name} [network units]"] = p.get_parameter(name).item()
-    result.update(reconstruction.effects.numbers())
+    result.update(reconstruction.effects.coefficients())
     result["wind [m/s²]"] = p.wind.detach().numpy()
     result["turbulence [m/s²]"] = p.turbulence.detach().numpy().reshape(-1, *grid, 3)
     result["boundary motion [m]"] = p.boundary_motion.detach().numpy()
