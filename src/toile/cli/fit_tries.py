@@ -15,10 +15,10 @@ from torch import Tensor
 
 from toile.cli.checkpoints import check_checkpoint
 from toile.cli.configuration import instantiate
-from toile.cli.fit_results import final_trajectory
 from toile.cli.resume import checkpoint_path
 from toile.cli.trainer import make_trainer
 from toile.learning.fit.module import STATE, Cycles, FitModule
+from toile.reconstruction.fitted_motion import final_trajectory
 from toile.reconstruction.lost_cloth import LostClothGuard
 from toile.reconstruction.problem import Reconstruction
 from toile.reconstruction.recipe import Recipe
