@@ -11,7 +11,7 @@ import argparse
 from pathlib import Path
 
 # Sets the number of BLAS threads before NumPy is loaded.
-from bench_solver import hanging_cloth, machine, markdown, milliseconds, write_csv
+from bench_solver import hanging_cloth, machine, milliseconds, show
 
 # isort: split
 import numpy as np
@@ -138,9 +138,7 @@ def main() -> None:
     arguments = parser.parse_args()
     table = rows(arguments.grid, arguments.substeps, arguments.repeats, not arguments.no_dense)
     print(f"{machine()}, {arguments.threads} LAPACK thread(s); {arguments.grid}×{arguments.grid} vertices\n")
-    print(markdown(HEADER, table))
-    if arguments.csv:
-        write_csv(arguments.csv, HEADER, table)
+    show(HEADER, table, arguments.csv)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 # Sets the number of BLAS threads before NumPy is loaded.
-from bench_solver import machine, markdown, write_csv
+from bench_solver import machine, show
 
 # isort: split
 import numpy as np
@@ -158,9 +158,7 @@ def main() -> None:
     torch.set_num_threads(1)
     table = [row(n, arguments.repeats) for n in arguments.vertices]
     print(f"{machine()}, {arguments.threads} thread(s); medians\n")
-    print(markdown(HEADER, table))
-    if arguments.csv:
-        write_csv(arguments.csv, HEADER, table)
+    show(HEADER, table, arguments.csv)
 
 
 if __name__ == "__main__":
