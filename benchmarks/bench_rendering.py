@@ -16,6 +16,7 @@ from collections.abc import Callable
 import toile.cli  # noqa: F401
 
 # isort: split
+import pandas as pd
 import torch
 from torch import Tensor
 
@@ -113,13 +114,6 @@ def accuracy() -> list[list[object]]:
     return rows
 
 
-def print_table(headers: list[str], rows: list[list[object]], number: str) -> None:
-    """Print a Markdown table, with floats in the format ``number``."""
-    lines = [headers, ["---"] * len(headers)]
-    lines += [[format(x, number) if isinstance(x, float) else str(x) for x in row] for row in rows]
-    print("\n".join("| " + " | ".join(line) + " |" for line in lines))
-
-
 def main() -> None:
     """Print both tables."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -131,10 +125,10 @@ def main() -> None:
     for frames in arguments.frames:
         print(f"\nms per frame, {frames} frame(s) a call, on {device}, one thread")
         headers = ["stage", "forward", "backward", "both"]
-        print_table(headers, speed(frames, device), ".2f")
+        print(pd.DataFrame(speed(frames, device), columns=headers).to_markdown(index=False, floatfmt=".2f"))
     print("\nerrors against 16 × 16 samples per pixel, 112 × 112 px")
     headers = ["renderer", "supersampling", "coverage, mean at the border", "worst", "area", "colour, mean"]
-    print_table(headers, accuracy(), ".5f")
+    print(pd.DataFrame(accuracy(), columns=headers).to_markdown(index=False, floatfmt=".5f"))
 
 
 if __name__ == "__main__":

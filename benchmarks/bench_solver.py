@@ -8,7 +8,6 @@ from a smooth bend, 16 frames at 30 Hz, BDF2.
 from __future__ import annotations
 
 import argparse
-import csv
 import os
 import platform
 import sys
@@ -24,6 +23,7 @@ import toile.cli  # noqa: E402, F401
 
 # isort: split
 import numpy as np  # noqa: E402
+import pandas as pd  # noqa: E402
 import torch  # noqa: E402
 from numpy.typing import NDArray  # noqa: E402
 
@@ -66,18 +66,12 @@ def milliseconds(call: Callable[[], object], repeats: int) -> tuple[float, float
     return float(median), float(high - low) / 2
 
 
-def markdown(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """The table in Markdown."""
-    lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
-    return "\n".join(lines + ["| " + " | ".join(map(str, row)) + " |" for row in rows])
-
-
-def write_csv(path: Path, header: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
-    """The table as a CSV file, with the machine in a last column."""
-    with path.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow([*header, "machine"])
-        writer.writerows([*row, machine()] for row in rows)
+def show(header: Sequence[str], rows: Sequence[Sequence[object]], path: Path | None) -> None:
+    """Print the table in Markdown, and write it as CSV with the machine in a last column."""
+    table = pd.DataFrame(rows, columns=list(header))
+    print(table.to_markdown(index=False, disable_numparse=True))
+    if path is not None:
+        table.assign(machine=machine()).to_csv(path, index=False)
 
 
 class Scene:
@@ -204,10 +198,8 @@ def main() -> None:
     for substeps in arguments.substeps:
         table += steps(arguments.grid, substeps, max(3, arguments.repeats // 5))
     print(f"{machine()}, {arguments.threads} LAPACK thread(s); {arguments.grid}×{arguments.grid} vertices\n")
-    print(markdown(HEADER, table))
+    show(HEADER, table, arguments.csv)
     print("\nMedian and half the interquartile range; rollouts of 16 frames, times per sub-step.")
-    if arguments.csv:
-        write_csv(arguments.csv, HEADER, table)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
-from bench_solver import markdown
 
 from surrogate.accuracy import ACCELERATION, BALANCE, LAST, MOTION
 from surrogate.contenders import FLOOR, SOLVER
@@ -62,7 +61,7 @@ def spread(values: Sequence[float]) -> str:
 
 def frame(table: pd.DataFrame) -> str:
     """A table in Markdown."""
-    return markdown([str(c) for c in table.columns], table.to_numpy().tolist())
+    return str(table.to_markdown(index=False, disable_numparse=True))
 
 
 def failures(table: pd.DataFrame) -> str:

@@ -24,6 +24,8 @@ HEAVY = (
     "matplotlib",
     "plotly",
     "scipy",
+    "sklearn",
+    "arch",
     "cv2",
     "imageio",
     "tensorboard",

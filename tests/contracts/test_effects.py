@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
+import trimesh
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
@@ -402,3 +403,17 @@ def test_distance_to_a_mesh_near_faces_edges_and_corners():
     beyond = points.abs() - 1
     exact = beyond.clamp(min=0).norm(dim=-1) + beyond.amax(-1).clamp(max=0)
     torch.testing.assert_close(cube.distance(points, points), exact)
+
+
+def test_a_sharp_edge_tells_inside_from_outside(tmp_path):
+    """A thin tetrahedron, as a file that stores the corners of every face for itself."""
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 0.1, 0], [0, 0, 3]])
+    faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
+    mesh = trimesh.Trimesh(corners, faces, process=False)
+    mesh.export(tmp_path / "wedge.stl")
+    points = 3 * np.random.default_rng(0).random((2000, 3)) - 1.5
+    outside = ((points[:, None] - mesh.triangles[None, :, 0]) * mesh.face_normals).sum(-1).max(1) > 0
+    at = torch.from_numpy(points)
+    found = TriangleMesh.read(tmp_path / "wedge.stl").distance(at, at) > 0
+    assert 0 < (~outside).sum() < 100
+    np.testing.assert_array_equal(found.numpy(), outside)

@@ -16,6 +16,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from sklearn.linear_model import RidgeClassifier
+from sklearn.model_selection import StratifiedKFold, cross_val_score, permutation_test_score
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
 
 from toile.blind.sealing import BlindSet, SealKey
 from toile.errors import InputError
@@ -24,7 +28,9 @@ from toile.scenes.images import numbered_files, read_mask, read_rgb
 
 Array = NDArray[np.float64]
 
-_RIDGE = 3.0
+# Classes weigh the same whatever their size.
+_CLASSIFIER = make_pipeline(StandardScaler(), RidgeClassifier(3.0, class_weight="balanced"))
+_SCORE = "balanced_accuracy"
 
 
 @dataclass(frozen=True)
@@ -33,7 +39,7 @@ class Leak:
 
     Attributes:
         question: what it was asked.
-        accuracy: cross-validated, mean over classes (balanced).
+        accuracy: cross-validated, mean over classes (balanced) and folds.
         chance_low, chance_high: 95 % of what it reaches on permuted labels.
         p_value: share of permutations that do at least as well.
         scenes: number of scenes.
@@ -123,16 +129,17 @@ def leak(
             expected=f"two classes of at least {folds} scenes",
             got=", ".join(f"{n}: {c}" for n, c in zip(names, counts, strict=True)),
         )
-    x = statistics[kept]
-    y = np.unique(index[kept], return_inverse=True)[1]
-    spread = x.std(0)
-    x = (x - x.mean(0)) / np.where(spread > 0, spread, 1.0)
-    rng = np.random.default_rng(seed)
-    accuracy = _accuracy(x, y, folds, np.random.default_rng(seed))
-    chance = np.array([_accuracy(x, rng.permutation(y), folds, rng) for _ in range(permutations)])
-    low, high = (float(np.quantile(chance, q)) for q in (0.025, 0.975))
-    p = float((1 + (chance >= accuracy).sum()) / (1 + permutations))
-    return Leak(question, accuracy, low, high, p, len(y))
+    accuracy, chance, p_value = permutation_test_score(
+        _CLASSIFIER,
+        statistics[kept],
+        index[kept],
+        cv=StratifiedKFold(folds, shuffle=True, random_state=seed),
+        n_permutations=permutations,
+        random_state=seed,
+        scoring=_SCORE,
+    )
+    low, high = np.quantile(chance, (0.025, 0.975))
+    return Leak(question, float(accuracy), float(low), float(high), float(p_value), int(kept.sum()))
 
 
 def leaks_of(
@@ -216,12 +223,13 @@ def power(
     *,
     seed: int = 0,
     draws: int = 30,
-    permutations: int = 100,
+    permutations: int = 2,
     level: float = 0.05,
 ) -> pd.DataFrame:
     """How often the classifier tells effect from none where a leak is planted, and where there is none.
 
-    In every draw the labels are shuffled first, so that nothing but what is planted can be found.
+    In every draw the labels are shuffled first, so that nothing but what is planted can be found. What is
+    reached by chance is the same in all draws, so each is compared with the permutations of all.
 
     Args:
         statistics: see leaks.
@@ -244,28 +252,24 @@ def power(
             continue
         for planted, (column, amount) in PLANTED.items():
             rng = np.random.default_rng(seed)
-            found = []
+            reached, chance = [], []
             for _ in range(draws):
                 labels = rng.permutation(classes)
                 changed = table.copy()
                 more = amount * (changed[column] if column in _SHARES else 1.0)
                 changed[column] = changed[column] + more * (labels == "effect")
-                found.append(
-                    leak(
-                        planted,
-                        changed.to_numpy(np.float64),
-                        labels.tolist(),
-                        seed=int(rng.integers(2**31)),
-                        permutations=permutations,
-                        folds=folds,
-                    )
-                )
+                shuffled = [labels, *(rng.permutation(labels) for _ in range(permutations))]
+                first, *others = (_accuracy(changed.to_numpy(np.float64), y, folds, rng) for y in shuffled)
+                reached.append(first)
+                chance += others
+            at_least = (np.array(chance) >= np.array(reached)[:, None]).sum(1)
+            p_values = (1 + at_least) / (1 + len(chance))
             rows.append(
                 {
                     "generator": generator,
                     "planted": planted,
-                    "found": float(np.mean([f.p_value < level for f in found])),
-                    "accuracy": float(np.mean([f.accuracy for f in found])),
+                    "found": float((p_values < level).mean()),
+                    "accuracy": float(np.mean(reached)),
                     "scenes": len(table),
                     "draws": draws,
                 }
@@ -286,31 +290,7 @@ def _keys(values: Any) -> int:
     return 0
 
 
-def _accuracy(x: Array, y: NDArray[np.int64], folds: int, rng: np.random.Generator) -> float:
-    """Balanced accuracy by stratified cross-validation."""
-    fold = np.zeros(len(y), np.int64)
-    for c in np.unique(y):
-        members = np.flatnonzero(y == c)
-        fold[rng.permutation(members)] = np.arange(len(members)) % folds
-    guess = np.zeros_like(y)
-    for k in range(folds):
-        train = fold != k
-        coefficients = _fit(x[train], y[train], int(y.max()) + 1)
-        guess[~train] = (_with_ones(x[~train]) @ coefficients).argmax(1)
-    return float(np.mean([(guess[y == c] == c).mean() for c in np.unique(y)]))
-
-
-def _fit(x: Array, y: NDArray[np.int64], n_classes: int) -> Array:
-    """Least squares on class indicators with a ridge; classes weigh the same whatever their size."""
-    ones = _with_ones(x)
-    weights = 1 / np.bincount(y, minlength=n_classes)[y]
-    weights *= len(y) / weights.sum()
-    penalty = _RIDGE * np.eye(ones.shape[1])
-    penalty[-1, -1] = 1e-9
-    gram = ones.T @ (weights[:, None] * ones) + penalty
-    right = ones.T @ (weights[:, None] * np.eye(n_classes)[y])
-    return np.asarray(np.linalg.solve(gram, right), np.float64)
-
-
-def _with_ones(x: Array) -> Array:
-    return np.concatenate((x, np.ones((len(x), 1))), 1)
+def _accuracy(x: Array, y: NDArray[np.str_], folds: int, rng: np.random.Generator) -> float:
+    """Cross-validated accuracy of the classifier."""
+    cv = StratifiedKFold(folds, shuffle=True, random_state=int(rng.integers(2**31)))
+    return float(cross_val_score(_CLASSIFIER, x, y, cv=cv, scoring=_SCORE).mean())

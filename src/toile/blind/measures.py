@@ -12,6 +12,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
+from scipy.stats import binomtest, bootstrap
+from sklearn.metrics import average_precision_score, f1_score
 
 from toile.blind.magnitudes import comparisons, coverage, relative_error
 from toile.blind.sealing import Sealed
@@ -32,24 +34,45 @@ class Statistic:
 
     Attributes:
         column: of the marks.
-        over: a number of the values that are there.
-        worst_effect: whether it is the smallest one over the scenes of one effect.
+        over: a number of the values that are there, along an axis.
+        worst_effect: whether it is the smallest mean over the scenes of one effect instead.
     """
 
     column: str
-    over: Callable[[Array], float]
+    over: Callable[..., Any] = np.mean
     worst_effect: bool = False
 
     def __call__(self, rows: pd.DataFrame) -> float:
         """The number; NaN where there is no value."""
-        if not self.worst_effect:
-            return self.over(_column(rows, self.column))
-        by_effect = [self.over(_column(group, self.column)) for _, group in rows.groupby("truth")]
-        return min((v for v in by_effect if not math.isnan(v)), default=math.nan)
+        values, effects = self._sample(rows)
+        return float(self._of(values, effects)) if len(values) else math.nan
 
     def count(self, rows: pd.DataFrame) -> int:
         """Number of rows that have a value."""
         return len(_column(rows, self.column))
+
+    def interval(self, rows: pd.DataFrame, resamplings: int, rng: np.random.Generator) -> tuple[float, float]:
+        """95 % interval by resampling the scenes that have a value."""
+        sample = self._sample(rows)
+        if len(sample[0]) < 2:
+            return self(rows), self(rows)
+        found = bootstrap(
+            sample, self._of, n_resamples=resamplings, paired=True, method="percentile", rng=rng
+        ).confidence_interval
+        return float(found.low), float(found.high)
+
+    def _sample(self, rows: pd.DataFrame) -> tuple[Array, Array]:
+        """Values that are there (n,), and numbers that tell their effects apart (n,)."""
+        values = _column(rows, self.column)
+        return values.to_numpy(), pd.factorize(rows["truth"][values.index])[0].astype(np.float64)
+
+    def _of(self, values: Array, effects: Array, axis: int = -1) -> Any:
+        if not self.worst_effect:
+            return self.over(values, axis=axis)
+        inside = [effects == effect for effect in np.unique(effects)]
+        # A resample may do without an effect, never without all of them.
+        with np.errstate(invalid="ignore"):
+            return np.fmin.reduce([(values * at).sum(axis) / at.sum(axis) for at in inside])
 
 
 @dataclass(frozen=True)
@@ -141,10 +164,10 @@ def measures() -> tuple[Measure, ...]:
         return marks[(marks["kind"] == "single") & (marks["identifiable"] == False)]  # noqa: E712
 
     def mean(column: str) -> Statistic:
-        return Statistic(column, _mean)
+        return Statistic(column)
 
     def median(column: str) -> Statistic:
-        return Statistic(column, _median)
+        return Statistic(column, np.median)
 
     single = kinds("single")
     return (
@@ -154,7 +177,7 @@ def measures() -> tuple[Measure, ...]:
             "top-1, worst effect",
             "≥ 0.70",
             clear,
-            Statistic("top1", _mean, worst_effect=True),
+            Statistic("top1", worst_effect=True),
             0.70,
             naive=True,
         ),
@@ -237,7 +260,7 @@ def measured(marks: pd.DataFrame, *, resamplings: int, seed: int) -> pd.DataFram
     for measure in measures():
         chosen = measure.select(marks)
         value = measure.value(chosen)
-        low, high = _interval(measure, chosen, value, rng, resamplings)
+        low, high = _interval(measure, chosen, value, resamplings, rng)
         other = measure.value(measure.select(naive)) if measure.naive else math.nan
         rows.append(
             {
@@ -285,42 +308,11 @@ def detection(marks: pd.DataFrame) -> pd.DataFrame:
                 "found": int(right.sum()),
                 "smallest_found": group["size"][right].min() if right.any() else math.nan,
                 "largest_missed": group["size"][~right].max() if (~right).any() else math.nan,
-                "predicted": _median(_column(group, "detection_limit")),
+                "predicted": _column(group, "detection_limit").median(),
             }
         )
     columns = ["effect", "scenes", "found", "smallest_found", "largest_missed", "predicted"]
     return pd.DataFrame(rows, columns=columns)
-
-
-def average_precision(truth: NDArray[np.bool_], score: Array) -> float:
-    """Area under the precision-recall curve; ties share their place. NaN where all or none is true."""
-    if truth.all() or not truth.any():
-        return math.nan
-    total = 0.0
-    recalled = 0.0
-    for threshold in np.unique(score)[::-1]:
-        chosen = score >= threshold
-        recall = float((truth & chosen).sum() / truth.sum())
-        total += (recall - recalled) * float((truth & chosen).sum() / chosen.sum())
-        recalled = recall
-    return total
-
-
-def f1(truth: NDArray[np.bool_], found: NDArray[np.bool_]) -> float:
-    """Harmonic mean of precision and recall; NaN where there is nothing to find."""
-    if not truth.any():
-        return math.nan
-    return float(2 * (truth & found).sum() / (truth.sum() + found.sum()))
-
-
-def wilson(successes: float, n: int, z: float = 1.96) -> tuple[float, float]:
-    """Wilson's interval of a proportion."""
-    if n == 0:
-        return math.nan, math.nan
-    p = successes / n
-    centre = (p + z * z / (2 * n)) / (1 + z * z / n)
-    half = z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n)) / (1 + z * z / n)
-    return max(0.0, centre - half), min(1.0, centre + half)
 
 
 def _truth(label: Mapping[str, Any]) -> tuple[str, ...]:
@@ -446,12 +438,14 @@ def _localisation(report: GapReport, sealed: Sealed, folder: Path) -> dict[str, 
         if max(vertices) < len(score):
             truth = np.zeros(len(score), bool)
             truth[vertices] = True
-            marks["vertices_auprc"] = average_precision(truth, np.nan_to_num(score))
+            # Where the effect acts everywhere, any score would do.
+            if not truth.all():
+                marks["vertices_auprc"] = float(average_precision_score(truth, np.nan_to_num(score)))
     scores = np.array(report.where.frames)
     if frames and max(frames) < len(scores) and len(frames) < len(scores):
         truth = np.zeros(len(scores), bool)
         truth[frames] = True
-        marks["frames_f1"] = f1(truth, scores >= FRAME_SCORE)
+        marks["frames_f1"] = float(f1_score(truth, scores >= FRAME_SCORE))
     return marks
 
 
@@ -465,34 +459,19 @@ def _on_grid(score: Array, grid: tuple[int, ...]) -> Array:
 
 
 def _interval(
-    measure: Measure, rows: pd.DataFrame, value: float, rng: np.random.Generator, resamplings: int
+    measure: Measure, rows: pd.DataFrame, value: float, resamplings: int, rng: np.random.Generator
 ) -> tuple[float, float]:
-    """95 % interval by resampling scenes."""
-    if math.isnan(value) or len(rows) == 0:
-        return math.nan, math.nan
-    found = []
-    for _ in range(resamplings):
-        found.append(measure.value(rows.iloc[rng.integers(len(rows), size=len(rows))]))
-    values = np.array([v for v in found if not math.isnan(v)])
-    low, high = (float(np.quantile(values, q)) for q in (0.025, 0.975))
+    """95 % interval over scenes."""
+    low, high = measure.value.interval(rows, resamplings, rng)
     if measure.proportion and low == high and value in (0.0, 1.0):
         n = measure.value.count(rows)
-        return wilson(value * n, n)
+        found = binomtest(round(value * n), n).proportion_ci(method="wilson")
+        return float(found.low), float(found.high)
     return low, high
 
 
-def _column(rows: pd.DataFrame, name: str) -> Array:
+def _column(rows: pd.DataFrame, name: str) -> pd.Series:
     """Numbers of a column without the missing ones."""
     if name not in rows.columns:
-        return np.zeros(0)
-    values = np.array([math.nan if v is None else float(v) for v in rows[name]])
-    found: Array = values[~np.isnan(values)]
-    return found
-
-
-def _mean(values: Array) -> float:
-    return float(values.mean()) if len(values) else math.nan
-
-
-def _median(values: Array) -> float:
-    return float(np.median(values)) if len(values) else math.nan
+        return pd.Series(dtype=np.float64)
+    return rows[name].dropna().astype(np.float64)

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 import pandas as pd
 
-from toile.blind.measures import measured
+from toile.blind.measures import Statistic, measured
 from toile.diagnosis.record import GapReport
 from toile.effects.catalogue import CATALOGUE
 
@@ -101,17 +101,18 @@ def over_naive(marks: pd.DataFrame, *, resamplings: int, seed: int) -> pd.DataFr
         if chosen.empty:
             continue
         ours, other = _true(chosen, "top1").astype(float), _true(chosen, "naive_top1").astype(float)
-        index = rng.integers(len(chosen), size=(resamplings, len(chosen)))
-        low, high = np.quantile((ours - other)[index].mean(1), (0.025, 0.975))
+        difference = Statistic("difference")
+        compared = chosen.assign(difference=ours - other)
+        low, high = difference.interval(compared, resamplings, rng)
         rows.append(
             {
                 "over": title,
                 "scenes": len(chosen),
                 "diagnosis": float(ours.mean()),
                 "naive": float(other.mean()),
-                "difference": float((ours - other).mean()),
-                "low": float(low),
-                "high": float(high),
+                "difference": difference(compared),
+                "low": low,
+                "high": high,
             }
         )
     return pd.DataFrame(rows)

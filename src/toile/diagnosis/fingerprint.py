@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from scipy.spatial import cKDTree
 
 from toile.effects.base import Effect
 
@@ -91,8 +90,6 @@ def _parts(value: object) -> Iterable[memoryview | bytes]:
             yield from _parts([value.func, value.args, value.keywords])
         case type():
             yield f"class {_name(value)}".encode()
-        case cKDTree():
-            yield from _parts(value.data)
         case torch.nn.Module():
             yield f"module {_name(type(value))}".encode()
             yield from _parts(dict(value.state_dict()))

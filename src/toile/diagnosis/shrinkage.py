@@ -120,7 +120,7 @@ def held_out_shrinks(
         if better is None:
             continue
         positions[name] = better.positions
-        total = float(1 - better.errors.mean() / without.errors.mean())
+        total = _shrink(without.errors, better.errors)
         low, high = _interval(without.errors, better.errors, seed, settings)
         found[name] = Shrink(
             METRIC,
@@ -169,7 +169,7 @@ def best_placebo(
             without.substeps,
         )
         if found is not None:
-            shrink = float(1 - found.errors.mean() / without.errors.mean())
+            shrink = _shrink(without.errors, found.errors)
             if best is None or shrink > best:
                 best, kept = shrink, found
     return best, kept
@@ -224,13 +224,17 @@ def prediction_gains(
     return gains
 
 
+def _shrink(base: Array, better: Array) -> float:
+    """Share by which the mean of errors (n,) falls."""
+    return float(1 - better.mean() / base.mean())
+
+
 def _interval(base: Array, better: Array, seed: int, settings: PredictionSettings) -> tuple[float, float]:
-    """90 % interval of the shrink by resampling blocks of frames."""
-    rng = np.random.default_rng(seed)
-    blocks = np.array_split(np.arange(len(base)), max(1, len(base) // settings.block))
-    draws = []
-    for _ in range(settings.resamplings):
-        index = np.concatenate([blocks[i] for i in rng.integers(len(blocks), size=len(blocks))])
-        draws.append(1 - better[index].mean() / base[index].mean())
-    low, high = np.quantile(draws, (0.05, 0.95))
-    return float(low), float(high)
+    """90 % interval of the shrink by the circular block bootstrap over frames (Politis and Romano, 1992)."""
+    from arch.bootstrap import CircularBlockBootstrap  # takes seconds
+
+    frames = CircularBlockBootstrap(settings.block, base, better, seed=np.random.default_rng(seed))
+    interval = frames.conf_int(
+        lambda *errors: np.array([_shrink(*errors)]), settings.resamplings, method="percentile", size=0.9
+    )
+    return float(interval[0, 0]), float(interval[1, 0])

@@ -10,15 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from toile.blind.measures import (
-    average_precision,
-    confusion,
-    detection,
-    f1,
-    mark,
-    measured,
-    wilson,
-)
+from toile.blind.measures import Statistic, confusion, detection, mark, measured
 from toile.blind.sealing import Sealed
 from toile.diagnosis.record import (
     Alias,
@@ -152,14 +144,32 @@ def test_table() -> None:
     assert (found["found"], found["scenes"]) == (9, 10)
 
 
-def test_scores() -> None:
-    truth = np.array([True, True, False, False])
-    assert average_precision(truth, np.array([0.9, 0.8, 0.1, 0.0])) == 1.0
-    assert average_precision(truth, np.zeros(4)) == 0.5
-    assert f1(truth, truth) == 1.0
-    low, high = wilson(0, 10)
-    assert low == 0.0
-    assert 0.2 < high < 0.4
+def test_interval_over_scenes() -> None:
+    """As wide as the deviation of the mean says, the same every time, and none of a single scene."""
+    values = np.random.default_rng(2).standard_normal(200)
+    rows = pd.DataFrame({"truth": ["air_drag"] * 200, "error": values})
+    low, high = Statistic("error").interval(rows, 2000, np.random.default_rng(0))
+    assert low < values.mean() < high
+    assert high - low == pytest.approx(2 * 1.96 * values.std() / 200**0.5, rel=0.1)
+    assert (low, high) == Statistic("error").interval(rows, 2000, np.random.default_rng(0))
+    assert Statistic("error").interval(rows[:1], 20, np.random.default_rng(0)) == (values[0], values[0])
+
+
+def test_worst_effect() -> None:
+    rows = pd.DataFrame(
+        {"truth": ["gusts", "gusts", "air_drag", "shading"], "top1": [True, False, True, None]}
+    )
+    worst = Statistic("top1", worst_effect=True)
+    assert worst(rows) == 0.5
+    assert worst.interval(rows, 200, np.random.default_rng(0)) == (0.0, 1.0)
+
+
+def test_wilson_where_all_scenes_agree() -> None:
+    marks = pd.DataFrame([marked(label(), answer("none", stage="none")) for _ in range(10)])
+    table = measured(marks.assign(identifiable=None, naive_top1=None), resamplings=20, seed=0)
+    row = table.set_index("measure").loc["false alarms on nulls"]
+    assert row["low"] == 0.0
+    assert row["high"] == pytest.approx(1.96**2 / (10 + 1.96**2), rel=1e-4)
 
 
 def test_scores_on_another_grid_than_the_labels(tmp_path: Path) -> None:
@@ -168,10 +178,15 @@ def test_scores_on_another_grid_than_the_labels(tmp_path: Path) -> None:
     report = replace(report, where=replace(report.where, vertices="scores.npy"))
     np.save(tmp_path / "scores.npy", np.linspace(0, 1, 4)[:, None] * np.ones(3))
     truth = label("air_drag")
-    truth["localisation"]["vertices"] = list(range(54, 63))  # the last row of 7 × 9: the highest scores
     vertices = np.zeros((4, 7, 9, 3), np.float32)
+    # The last row of 7 × 9 has the highest scores; all scores of the first row are the lowest.
+    for acting, score in ((range(54, 63), 1.0), (range(9), 1 / 7)):
+        truth["localisation"]["vertices"] = list(acting)
+        row = mark("x", Sealed(truth, vertices, vertices), report, tmp_path, alias=0.9)
+        assert row["vertices_auprc"] == pytest.approx(score)
+    truth["localisation"]["vertices"] = list(range(63))
     row = mark("x", Sealed(truth, vertices, vertices), report, tmp_path, alias=0.9)
-    assert row["vertices_auprc"] == 1.0
+    assert "vertices_auprc" not in row
 
 
 def test_only_scenes_with_a_mark_count() -> None:

@@ -19,3 +19,11 @@ def test_frames_that_share_their_error_widen_the_interval() -> None:
     # So few resamplings are one draw.
     low, high = _interval(base, better, 0, PredictionSettings(resamplings=1))
     assert low == high
+
+
+def test_few_frames_have_an_interval() -> None:
+    """Blocks may start at any frame: three frames in blocks of two are more than one draw."""
+    base, better = np.full(3, 2.0), np.array([0.5, 1.0, 1.5])
+    low, high = _interval(base, better, 0, PredictionSettings())
+    assert low < 0.5 < high
+    assert (low, high) == _interval(base, better, 0, PredictionSettings())

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import cumulative_trapezoid
 from scipy.spatial.transform import Rotation
 
 from toile.generation.blender.settings import BlenderSettings
@@ -330,7 +331,7 @@ def _wave(settings: BlenderSettings, along: Array) -> tuple[Array, Array]:
     step = s[1] - s[0]
     curves = []
     for rate in (np.cos(slope), np.sin(slope)):
-        integral = np.concatenate(([0.0], np.cumsum(0.5 * step * (rate[1:] + rate[:-1]))))
+        integral = cumulative_trapezoid(rate, dx=step, initial=0)
         curves.append(np.interp(along, s, integral - integral[len(s) // 2]))
     return curves[0], curves[1]
 
