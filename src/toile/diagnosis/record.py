@@ -24,6 +24,7 @@ missing answer.
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields
 from functools import cache
 from pathlib import Path
@@ -33,7 +34,7 @@ from pydantic import AfterValidator, ConfigDict, TypeAdapter, ValidationError
 
 from toile.atomic_file import write_text
 from toile.errors import InputError
-from toile.json_file import read_json_object
+from toile.json_file import place, read_json_object
 from toile.limits import Fraction
 
 DIAGNOSIS_FILE = "diagnosis.json"
@@ -338,22 +339,22 @@ _PARTS = {
 def _mistake(error: ValidationError, where: str) -> InputError:
     """The first thing that is wrong."""
     first = error.errors(include_url=False)[0]
-    *parents, last = place = [f"[{k}]" if isinstance(k, int) else f".{k}" for k in first["loc"]]
+    *parents, last = location = first["loc"] or ("",)
     if first["type"] == "missing":
         got = f"keys {', '.join(first['input']) or 'none'}"
         return InputError(
-            f"Key '{last[1:]}' is missing", where=_at(where, parents), expected=f"'{last[1:]}'", got=got
+            f"Key '{last}' is missing", where=_at(where, parents), expected=f"'{last}'", got=got
         )
     if first["type"] == "unexpected_keyword_argument":
-        part = next((_PARTS[k] for k in reversed(first["loc"][:-1]) if k in _PARTS), GapReport)
+        part = next((_PARTS[k] for k in reversed(parents) if k in _PARTS), GapReport)
         known = ", ".join(sorted(f.name for f in fields(part)))
-        return InputError("Unknown key", where=_at(where, parents), expected=known, got=last[1:])
+        return InputError("Unknown key", where=_at(where, parents), expected=known, got=str(last))
     expected = first["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
-    return _wrong(_at(where, place), expected, first["input"])
+    return _wrong(_at(where, location), expected, first["input"])
 
 
-def _at(where: str, place: list[str]) -> str:
-    return f"{where}: {''.join(place).removeprefix('.')}" if place else where
+def _at(where: str, location: Sequence[str | int]) -> str:
+    return f"{where}: {place(location)}" if place(location) else where
 
 
 def _wrong(where: str, expected: str, got: object) -> InputError:
