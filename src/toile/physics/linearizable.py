@@ -65,7 +65,9 @@ class LinearizableSimulator(Simulator):
         self.integrator = integrator
         self.n_past = integrator.history - 1
         self.assembly = Assembly.of(cloth)
-        self.solver: LinearSolver = chosen_solver(self.assembly.pattern, self.assembly.pinned)
+        self.solver: LinearSolver = chosen_solver(
+            self.assembly.pattern, self.assembly.pinned, grid=cloth.grid is not None
+        )
         self._masses: Array = cloth.masses.detach().numpy()
         self.force_scale = float(self._masses.max()) * STANDARD_GRAVITY
 

@@ -13,7 +13,7 @@ from toile.physics.implicit.assembly import Assembly
 from toile.physics.implicit.integrators import BackwardEuler
 from toile.physics.implicit.linear_solvers.analysis import SymbolicAnalysis
 from toile.physics.implicit.linear_solvers.banded import BandedSolver
-from toile.physics.implicit.linear_solvers.choice import banded_seconds, chosen_solver, sparse_seconds
+from toile.physics.implicit.linear_solvers.choice import banded_seconds, sparse_seconds
 from toile.physics.implicit.linear_solvers.dissection import nested_dissection
 from toile.physics.implicit.linear_solvers.pattern import BlockPattern
 from toile.physics.implicit.linear_solvers.sparse import SparseSolver
@@ -183,18 +183,21 @@ def test_work_of_large_grids_grows_as_nested_dissection_promises():
     assert analyses[1].n_values / analyses[0].n_values < 6  # measured 5.3; N^1.5: 8
 
 
+def chosen_for(cloth):
+    return ImplicitSimulator(cloth, 0.01, BackwardEuler(), NewtonSettings()).solver
+
+
 @pytest.mark.parametrize("shape", [(16, 16), (32, 32), (63, 63), (300, 12)])
 def test_grids_of_published_results_stay_with_the_band(shape):
-    cloth = grid_cloth(shape, (0.5, 0.5), 0.2, (0, shape[1] - 1))
-    assert isinstance(chosen_solver(Assembly.of(cloth).pattern, cloth.pinned.numpy()), BandedSolver)
+    assert isinstance(chosen_for(grid_cloth(shape, (0.5, 0.5), 0.2, (0, shape[1] - 1))), BandedSolver)
 
 
-def test_the_choice_follows_the_predicted_times():
-    _, cloth = irregular_cloth(3000, (0, 1))
-    pattern, pinned = Assembly.of(cloth).pattern, cloth.pinned.numpy()
-    solver = chosen_solver(pattern, pinned)
-    assert isinstance(solver, SparseSolver)
-    assert 2.5 * sparse_seconds(solver.analysis) < banded_seconds(BandedSolver(pattern, pinned))
+@pytest.mark.parametrize(("n", "kind"), [(20, BandedSolver), (1000, SparseSolver)])
+def test_the_choice_follows_the_predicted_times(n, kind):
+    solver = chosen_for(irregular_cloth(n, (0, 1))[1])
+    assert type(solver) is kind
+    banded, sparse = (k(solver.pattern, solver.pinned) for k in (BandedSolver, SparseSolver))
+    assert (sparse_seconds(sparse.analysis) < banded_seconds(banded)) == (kind is SparseSolver)
 
 
 def test_a_hung_sheet_and_its_derivatives_are_the_same_with_both_solvers():

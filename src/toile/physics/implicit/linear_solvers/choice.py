@@ -21,9 +21,9 @@ _BAND_PRODUCT, _BAND_ENTRY = 2.8e-11, 8.1e-9
 _SPARSE_FLOP, _SUPERNODE = 5.9e-11, 3.2e-5
 # No cloth takes the sparse solver less than this per vertex [s]; where the band is as fast, none is analysed.
 _SPARSE_LEAST = 3.5e-6
-# How many times faster the sparse solver has to be. Grids of up to 63×63 vertices, which published results
-# and generated scenes were made with, stay with the band and keep their last digits; this is all they lose.
-_GAIN = 2.5
+# How many times faster the sparse solver has to be for a grid. Those of up to 63×63 vertices, which published
+# results and generated scenes were made with, stay with the band and keep their last digits.
+_GAIN_ON_GRIDS = 2.5
 
 
 def banded_seconds(solver: BandedSolver) -> float:
@@ -37,10 +37,10 @@ def sparse_seconds(analysis: SymbolicAnalysis) -> float:
     return _SPARSE_FLOP * analysis.flops + _SUPERNODE * analysis.n_supernodes
 
 
-def chosen_solver(pattern: BlockPattern, pinned: NDArray[np.int64]) -> LinearSolver:
-    """The sparse solver where it is predicted to be faster by far, else the banded one."""
+def chosen_solver(pattern: BlockPattern, pinned: NDArray[np.int64], *, grid: bool) -> LinearSolver:
+    """The solver that is predicted to be faster; for a grid the banded one unless it is slower by far."""
     banded = BandedSolver(pattern, pinned)
-    enough = banded_seconds(banded) / _GAIN
+    enough = banded_seconds(banded) / (_GAIN_ON_GRIDS if grid else 1.0)
     if enough <= _SPARSE_LEAST * (pattern.n_vertices - len(banded.pinned)):
         return banded
     sparse = SparseSolver(pattern, pinned)

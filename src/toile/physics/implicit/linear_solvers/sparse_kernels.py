@@ -17,7 +17,7 @@ typedef void (*trsm_t)(const char*, const char*, const char*, const char*, const
     const double*, const double*, const int*, double*, const int*);
 typedef void (*syrk_t)(const char*, const char*, const int*, const int*, const double*, const double*,
     const int*, const double*, double*, const int*);
-const double one = 1.0, minus_one = -1.0;
+const double one = 1.0, minus_one = -1.0, zero = 0.0;
 const wp::int64* child = of.children.data;
 for (int s = 0; s < of.n_supernodes; ++s) {
     const int width = of.widths[s];
@@ -25,7 +25,10 @@ for (int s = 0; s < of.n_supernodes; ++s) {
     double* panel = values.data + of.panel_starts[s];
     double* update = work.data + of.work_starts[s];
     for (wp::int64 i = 0; i < wp::int64(m) * k; ++i) panel[i] = 0.0;
-    for (wp::int64 i = 0; i < wp::int64(u) * u; ++i) update[i] = 0.0;
+    const bool leaf = child == of.children.data + of.child_ends[s];
+    // Of an update matrix only the lower triangle counts, in 3x3 blocks.
+    for (int c = 0; c < u && !leaf; ++c)
+        for (int r = c - c % 3; r < u; ++r) update[wp::int64(c) * u + r] = 0.0;
     for (wp::int64 b = of.block_starts[s]; b < of.block_starts[s + 1]; ++b) {
         const double* from = blocks.data + 9 * of.sources[b];
         double* to = panel + of.targets[b];
@@ -66,10 +69,11 @@ for (int s = 0; s < of.n_supernodes; ++s) {
         if (!(panel[wp::int64(c) * m + c] <= 1.7976931348623157e308)) return 0;
     if (u > 0) {
         ((trsm_t)of.trsm)("R", "L", "T", "N", &u, &k, &one, panel, &m, panel + k, &m);
-        ((syrk_t)of.syrk)("L", "N", &u, &k, &minus_one, panel + k, &m, &one, update, &u);
+        ((syrk_t)of.syrk)("L", "N", &u, &k, &minus_one, panel + k, &m, leaf ? &zero : &one,
+            update, &u);
         double* kept = work.data + of.update_starts[s];
-        if (kept != update)
-            for (wp::int64 i = 0; i < wp::int64(u) * u; ++i) kept[i] = update[i];
+        for (int c = 0; c < u && kept != update; ++c)
+            for (int r = c - c % 3; r < u; ++r) kept[wp::int64(c) * u + r] = update[wp::int64(c) * u + r];
     }
 }
 return 1;
