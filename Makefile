@@ -63,6 +63,10 @@ format: setup ## Format the code
 bench: setup ## Measure speed and accuracy
 	@{ echo '# Benchmarks (`make bench`)'; for file in benchmarks/bench_*.py; do echo; echo "## $$(basename $$file .py)"; echo; $(BIN)/python $$file; done; } | tee docs/results/benchmarks.md
 
+.PHONY: linear-solvers
+linear-solvers: setup ## Measure the linear solvers on grids and garments: docs/results/linear_solvers.md
+	$(BIN)/python benchmarks/linear_solvers.py
+
 .PHONY: results
 results: setup ## Reproduce the table of the README (needs the recordings in TOILE_DATA)
 	$(BIN)/python benchmarks/results.py

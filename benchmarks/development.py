@@ -22,9 +22,11 @@ import pandas as pd
 from toile.atomic_file import write_text, written_atomically
 from toile.blind.calibration import evidence_of, verdict_by
 from toile.cli.diagnose import diagnose_scene
+from toile.diagnosis.arrays import SCREENING_FILE
 from toile.diagnosis.decision import Calibration, Weights, probabilities
-from toile.diagnosis.diagnose import SCREENING_FILE, TRACKED_FILE, DiagnosisSettings
 from toile.diagnosis.record import DIAGNOSIS_FILE, GapReport
+from toile.diagnosis.settings import DiagnosisSettings
+from toile.diagnosis.stages import TRACKED_FILE
 from toile.generation.out_of_family.base_scene import OutOfFamilySettings
 from toile.generation.out_of_family.blind_set import PlannedScene, write_opaque
 from toile.generation.out_of_family.from_blender import make_with_blender, why_no_blender

@@ -22,11 +22,12 @@ import pandas as pd
 from toile.atomic_file import write_text
 from toile.blind.calibration import evidence_from, measured
 from toile.cli.diagnose import diagnose_scene
+from toile.diagnosis.arrays import SCREENING_FILE
 from toile.diagnosis.decision import UNKNOWN, Calibration, probabilities
-from toile.diagnosis.diagnose import SCREENING_FILE, DiagnosisSettings
 from toile.diagnosis.gap_maps import stage_shares
 from toile.diagnosis.made_with import MADE_WITH_FILE, MadeWith
 from toile.diagnosis.record import DIAGNOSIS_FILE, GapReport
+from toile.diagnosis.settings import DiagnosisSettings
 from toile.diagnosis.verdict import verdict_of
 
 OUTPUT = Path("outputs/independent")

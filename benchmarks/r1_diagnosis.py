@@ -20,8 +20,9 @@ import torch
 
 from toile.atomic_file import write_text
 from toile.cli.main import main as toile_main
-from toile.diagnosis.diagnose import HELD_OUT_FILE, TRACKED_FILE
+from toile.diagnosis.arrays import HELD_OUT_FILE
 from toile.diagnosis.record import DIAGNOSIS_FILE, GapReport
+from toile.diagnosis.stages import TRACKED_FILE
 from toile.evaluation.evaluate import evaluate
 from toile.rendering import WarpRenderer
 from toile.scenes.registry import load_scene

@@ -33,9 +33,9 @@ folder = Path(mkdtemp(prefix="toile_"))
 
 # %% [markdown]
 # ## The effect
-# An effect is a few named numbers and one hook. Pixels that are not square (old video formats, or a clip that
-# was scaled) stretch what is seen from top to bottom: a `CameraEffect`, whose hook moves pixels. At zero it
-# does nothing, and derivatives come from torch.
+# An effect is a few named parameters and one hook. Pixels that are not square (old video formats, or a clip
+# that was scaled) stretch what is seen from top to bottom: a `CameraEffect`, whose hook moves pixels. At zero
+# it does nothing, and derivatives come from torch.
 
 
 # %%

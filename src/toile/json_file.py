@@ -7,6 +7,7 @@ which some editors write, is no mistake.
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -35,3 +36,9 @@ def parse_json_object(data: bytes) -> dict[str, Any]:
     if not isinstance(values, dict):
         raise ValueError(f"a {type(values).__name__} at the top level")
     return values
+
+
+def place(location: Sequence[str | int]) -> str:
+    """Keys and indices from the top to a value, as "effects[0].shrink"; "" for the top itself."""
+    steps = (f"[{step}]" if isinstance(step, int) else f".{step}" for step in location)
+    return "".join(steps).removeprefix(".")

@@ -71,13 +71,21 @@ class Shown:
     Args:
         log: of the lines.
         console: of the bar; None for standard error.
+        leave: whether the bar stays when the work is done.
     """
 
-    def __init__(self, log: logging.Logger, console: Console | None = None) -> None:
+    def __init__(self, log: logging.Logger, console: Console | None = None, leave: bool = False) -> None:
         console = console or Console(stderr=True)
         self._lines = None if console.is_terminal else Lines(log)
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-        self._bar = Progress(*columns, console=console, transient=True)
+        self._bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=12 if leave else 40),
+            MofNCompleteColumn(),
+            TimeRemainingColumn(),
+            TextColumn("{task.fields[state]}"),
+            console=console,
+            transient=not leave,
+        )
         self._task: TaskID | None = None
         self._what = ""
 
@@ -89,6 +97,11 @@ class Shown:
     def __exit__(self, *_: object) -> None:
         if self._lines is None:
             self._bar.stop()
+
+    @property
+    def as_lines(self) -> bool:
+        """Whether it is lines in the log."""
+        return self._lines is not None
 
     def said(self) -> None:
         """Somebody else has just written a line that says as much."""
@@ -103,8 +116,8 @@ class Shown:
         if self._task is None or what != self._what:
             if self._task is not None:
                 self._bar.remove_task(self._task)
-            self._task, self._what = self._bar.add_task(what, total=total), what
-        self._bar.update(self._task, completed=done)
+            self._task, self._what = self._bar.add_task(what, total=total, state=state), what
+        self._bar.update(self._task, completed=done, state=state)
 
 
 def counted(items: Iterable[T], report: Report, what: str, total: int | None) -> Iterator[T]:

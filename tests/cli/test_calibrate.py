@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from toile.cli.diagnose import diagnose_scene
+from toile.diagnosis.arrays import SCREENING_FILE
 from toile.diagnosis.decision import Calibration
-from toile.diagnosis.diagnose import SCREENING_FILE
 from toile.diagnosis.made_with import MADE_WITH_FILE, MadeWith
 from toile.diagnosis.record import DIAGNOSIS_FILE, GapReport
 

@@ -14,11 +14,11 @@ import yaml
 
 from toile.cli.diagnose import diagnose_scene
 from toile.cli.main import main
-from toile.diagnosis.diagnose import HELD_OUT_FILE, SCREENING_FILE, TRACKED_FILE
+from toile.diagnosis.arrays import HELD_OUT_FILE, SCREENING_FILE
 from toile.diagnosis.record import DIAGNOSIS_FILE, GapReport
 from toile.diagnosis.stage_store import StageStore
 from toile.diagnosis.stage_times import TIMES_FILE, read_times
-from toile.diagnosis.stages import FILES
+from toile.diagnosis.stages import FILES, TRACKED_FILE
 from toile.errors import InputError
 
 SCENE = (

@@ -23,6 +23,7 @@ HEAVY = (
     "pandas",
     "matplotlib",
     "plotly",
+    "jinja2",
     "scipy",
     "sklearn",
     "arch",

@@ -15,7 +15,7 @@ import torch
 import yaml
 
 from toile.cli.resume import checkpoint_path
-from toile.learning.surrogate.callbacks.checkpoint import StepCheckpoint
+from toile.learning.checkpoints import LAST
 from toile.learning.surrogate.module import SurrogateTraining
 from toile.physics.surrogate.weights import describe_weights, load_weights
 from toile.reports.run_folder import RunFolder, read_history, read_metrics
@@ -29,10 +29,10 @@ def interrupt_in(step: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Ctrl-C in a step."""
     training_step = SurrogateTraining.training_step
 
-    def interrupted(self: SurrogateTraining, batch: int, batch_idx: int) -> None:
+    def interrupted(self: SurrogateTraining, batch: torch.Tensor, batch_idx: int) -> torch.Tensor:
         if self.steps_done == step:
             signal.raise_signal(signal.SIGINT)
-        training_step(self, batch, batch_idx)
+        return training_step(self, batch, batch_idx)
 
     monkeypatch.setattr(SurrogateTraining, "training_step", interrupted)
 
@@ -57,7 +57,6 @@ def test_a_run_folder_holds_everything(toile: Toile, tmp_path: Path) -> None:
     assert metrics["training"]["last epoch"]["validation residual/median"] > 0
     assert list(load_weights(run.path / "surrogate.pt").network.widths) == [4, 8]
     assert describe_weights(run.path / "surrogate.pt")["command"] == "toile train training=tiny"
-    assert checkpoint_path(run).name == StepCheckpoint.NAME
     assert checkpoint_path(run).is_file()
 
 
@@ -134,8 +133,8 @@ def test_two_processes(tmp_path: Path) -> None:
     )
     assert done.returncode == 0, done.stderr
     assert done.stderr.count("epoch 1 of 1") == 1
-    checkpoint = torch.load(tmp_path / "run" / "checkpoints" / StepCheckpoint.NAME, weights_only=True)
-    assert len(checkpoint["toile_training"]["pools"]) == 2
+    checkpoint = torch.load(tmp_path / "run" / "checkpoints" / LAST, weights_only=True)
+    assert len(checkpoint["PoolBatches"]["pools"]) == 2
     overrides = yaml.safe_load((tmp_path / "run" / ".hydra" / "overrides.yaml").read_text())
     assert "trainer=ddp" in overrides
     assert load_weights(tmp_path / "run" / "surrogate.pt") is not None

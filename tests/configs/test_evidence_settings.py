@@ -11,8 +11,8 @@ from omegaconf import OmegaConf
 from toile.cli.configuration import CONF, instantiate, register_resolvers
 from toile.cli.made_with import made_with_of
 from toile.diagnosis.decision import Calibration
-from toile.diagnosis.diagnose import DiagnosisSettings
 from toile.diagnosis.made_with import AFTER_MEASURING, NO_EVIDENCE
+from toile.diagnosis.settings import DiagnosisSettings
 
 
 @pytest.fixture(autouse=True)
@@ -38,8 +38,8 @@ def test_the_shipped_calibration_is_for_the_default_settings() -> None:
     [
         ("diagnosis=quick", "diagnosis.sides: [14], calibrated with [20]"),
         ("diagnosis=fine", "diagnosis.sides: [20, 32], calibrated with [20]"),
-        ("diagnosis.weights.predictive=40", "diagnosis.weights.prediction: 40, calibrated with 20"),
-        ("diagnosis.attachment_slip.along=4", "diagnosis.grip.along: 4, calibrated with 5"),
+        ("diagnosis.weights.predictive=40", "diagnosis.weights.predictive: 40, calibrated with 20"),
+        ("diagnosis.attachment_slip.along=4", "diagnosis.attachment_slip.along: 4, calibrated with 5"),
         ("diagnosis.coarse=null", "diagnosis.coarse: null, calibrated with given"),
         ("simulator.longest_substep=0.01", "simulator.longest_substep: 0.01, calibrated with 0.02"),
         ("simulator/integrator=backward_euler", "BackwardEuler, calibrated with BDF2"),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from toile.diagnosis.effect_columns import Instant, force_columns
+from toile.diagnosis.effect_sensitivities import Instant, force_sensitivities
 from toile.diagnosis.sensitivities import StepForces
 from toile.effects.base import Effect, Surroundings
 from toile.effects.setting import setting
@@ -70,6 +70,6 @@ def test_diagnosis_knows_its_trace(documented: type[Effect]) -> None:
     still = np.zeros((len(masses), 3))
     step = StepForces(0, still, still, still, np.zeros((3, *still.shape)), still)
     now = Instant(step, 0.04, 0.01, np.array([60.0, 3e-4, 2e-5]), GRAVITY.numpy(), np.zeros((0, 3)))
-    column = force_columns(effect, now, around)
-    assert column.shape == (1, *still.shape)
-    np.testing.assert_allclose(column[0], -0.05 * masses[:, None] * GRAVITY.numpy(), atol=1e-12)
+    force = force_sensitivities(effect, now, around)
+    assert force.shape == (1, *still.shape)
+    np.testing.assert_allclose(force[0], -0.05 * masses[:, None] * GRAVITY.numpy(), atol=1e-12)

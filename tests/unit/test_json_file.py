@@ -14,7 +14,7 @@ from toile.diagnosis.record import GapReport
 from toile.diagnosis.stage_times import read_times
 from toile.errors import InputError
 from toile.generation.truth import TRUTH_FILE, read_truth
-from toile.json_file import parse_json_object, read_json_object
+from toile.json_file import parse_json_object, place, read_json_object
 from toile.preparation.template_making.intrinsics import Intrinsics
 from toile.preparation.template_making.still import VIDEO, _frame_rate
 from toile.reports.run_folder import RunFolder, read_metrics
@@ -85,3 +85,9 @@ def test_only_objects() -> None:
         parse_json_object(b"[1]")
     with pytest.raises(ValueError, match="nested too deeply"):
         parse_json_object(b'{"a":' * 100_000)
+
+
+def test_a_place_reads_as_in_python() -> None:
+    assert place(("effects", 0, "shrink")) == "effects[0].shrink"
+    assert place((0, 1)) == "[0][1]"
+    assert place(()) == ""

@@ -21,9 +21,9 @@ from pydantic import Field
 from scipy.optimize import brute
 
 from toile.atomic_file import write_text
+from toile.diagnosis.arrays import SCREENING_FILE
 from toile.diagnosis.decision import NONE, UNKNOWN, Calibration, Weights, probabilities, tempered
-from toile.diagnosis.diagnose import SCREENING_FILE
-from toile.diagnosis.effect_columns import FORCES
+from toile.diagnosis.effect_sensitivities import FORCES
 from toile.diagnosis.made_with import MADE_WITH_FILE, MadeWith
 from toile.diagnosis.record import Verdict
 from toile.diagnosis.verdict import DEFAULT as VERDICT
@@ -35,7 +35,7 @@ from toile.former_names import EVIDENCE_COLUMNS, renamed
 from toile.limits import Count, Finite, NonNegative, Positive
 
 KINDS = (MOVING, (Stage.CAMERA, Stage.OBSERVATION), (Stage.APPEARANCE,))
-"""Stages whose effects leave the same sort of trace: in the motion, in the outline, in the colours."""
+"""Stages whose effects leave the same sort of trace: in the motion, in the outline, in the brightness."""
 
 _MEASURED = ("scene", "truth", "effect", "in_sample", "prediction_gain", "size", "left", "step")
 _SETTINGS = "settings"

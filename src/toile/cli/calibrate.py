@@ -23,8 +23,8 @@ from toile.cli.configuration import instantiate
 from toile.cli.made_with import made_with_of
 from toile.cli.terminal import print_path
 from toile.diagnosis.decision import Calibration, probabilities
-from toile.diagnosis.diagnose import DiagnosisSettings
 from toile.diagnosis.made_with import MadeWith
+from toile.diagnosis.settings import DiagnosisSettings
 from toile.errors import InputError
 
 _log = logging.getLogger(__name__)

@@ -23,9 +23,11 @@ from toile.cli.resume import check_settings_as_before
 from toile.cli.scene_warnings import scene_warnings
 from toile.cli.settings import check_settings
 from toile.cli.terminal import print_path
-from toile.diagnosis.diagnose import DiagnosisSettings, check_problem, diagnose
+from toile.diagnosis.diagnose import diagnose
 from toile.diagnosis.made_with import MadeWith
+from toile.diagnosis.problem import check_problem
 from toile.diagnosis.record import DIAGNOSIS_FILE, GapReport
+from toile.diagnosis.settings import DiagnosisSettings
 from toile.diagnosis.workers import Workers
 from toile.effects.base import Effect
 from toile.errors import InputError

@@ -17,7 +17,6 @@ from toile.cli.dashboard import write_final_numbers
 from toile.cli.fit_results import (
     Seconds,
     last_picture,
-    residual_force,
     write_motion,
     write_numbers,
     write_pictures,
@@ -29,11 +28,12 @@ from toile.cli.terminal import print_evaluation, print_path
 from toile.errors import InputError
 from toile.evaluation.evaluate import EvaluationResult, evaluate
 from toile.learning.quiet import quiet_lightning
-from toile.physics.frame_steps import FrameSteps
 from toile.reconstruction.effects import FitEffects
+from toile.reconstruction.fitted_motion import residual_force
 from toile.reconstruction.parameters import ClothParameters
 from toile.reconstruction.problem import Reconstruction
 from toile.reconstruction.scene_cloth import scene_units
+from toile.reconstruction.scene_steps import scene_frame_steps
 from toile.reports.run_folder import (
     RunFolder,
     create_run_folder,
@@ -200,44 +200,15 @@ def build_reconstruction(
         scene,
         cloth,
         make_simulator,
-        frame_steps(cfg.simulator, scene),
+        scene_frame_steps(
+            scene,
+            cfg.simulator.substeps,
+            cfg.simulator.longest_substep,
+            cfg.simulator.largest_time_error,
+        ),
         parameters,
         instantiate(cfg.renderer),
         FitEffects(
             tuple((instantiate(cfg.get("effect")) or {}).values()), tuple(cfg.get("fixed_effects") or ())
         ),
     )
-
-
-def frame_steps(simulator: DictConfig, scene: Scene) -> FrameSteps:
-    """The number asked for, or as few as keep a sub-step within ``longest_substep``, every frame in its time.
-
-    Raises:
-        InputError: a number per frame is asked for, and the frames are unevenly spaced.
-    """
-    if scene.times is None:
-        # Rounding must not turn 0.02 s / 0.01 s into three sub-steps.
-        fewest = max(1, math.ceil(1 / scene.fps / simulator.longest_substep - 1e-9))
-        substeps = fewest if simulator.substeps is None else int(simulator.substeps)
-        return FrameSteps.regular(substeps, scene.n_frames)
-    intervals = scene.times.diff()
-    if simulator.substeps is not None:
-        raise InputError(
-            "A fixed number of sub-steps per frame needs evenly spaced frames",
-            where="simulator.substeps",
-            expected="substeps=null and a longest_substep [s], because this scene has time stamps",
-            got=f"{simulator.substeps}, and intervals of {1e3 * float(intervals.min()):.4g} to "
-            f"{1e3 * float(intervals.max()):.4g} ms",
-        )
-    steps = FrameSteps.nearest(
-        scene.times.tolist(), float(simulator.longest_substep), float(simulator.largest_time_error)
-    )
-    step = 1 / scene.fps / steps.per_frame
-    off = float((steps.times(step) - scene.times).abs().max())
-    log.info(
-        "unevenly spaced frames: %d sub-steps of %.4g ms, frames at most %.3g ms from their times",
-        steps.ends[-1],
-        1e3 * step,
-        1e3 * off,
-    )
-    return steps

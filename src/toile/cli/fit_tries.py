@@ -15,10 +15,10 @@ from torch import Tensor
 
 from toile.cli.checkpoints import check_checkpoint
 from toile.cli.configuration import instantiate
-from toile.cli.fit_results import final_trajectory
 from toile.cli.resume import checkpoint_path
 from toile.cli.trainer import make_trainer
-from toile.learning.fit.module import STATE, Cycles, FitModule
+from toile.learning.fit.module import STATE, CyclesOfFit, FitModule
+from toile.reconstruction.fitted_motion import final_trajectory
 from toile.reconstruction.lost_cloth import LostClothGuard
 from toile.reconstruction.problem import Reconstruction
 from toile.reconstruction.recipe import Recipe
@@ -114,7 +114,7 @@ def optimise(cfg: DictConfig, module: FitModule, checkpoint: Path | None) -> boo
         log.info("continuing from %s", checkpoint)
     on_interrupt = signal.getsignal(signal.SIGINT)
     try:
-        trainer.fit(module, Cycles(module), ckpt_path=checkpoint, weights_only=True)
+        trainer.fit(module, datamodule=CyclesOfFit(module), ckpt_path=checkpoint, weights_only=True)
     except SystemExit:
         # Lightning turns Ctrl-C into this, and ignores Ctrl-C from then on.
         if trainer.state.status is not TrainerStatus.INTERRUPTED:

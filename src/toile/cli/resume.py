@@ -154,11 +154,19 @@ def check_settings_as_before(folder: RunFolder, config: str) -> None:
 
 
 def _binding(config: Any, prefix: str = "") -> dict[str, Any]:
-    """Settings that a result follows from, flattened: {"scene.name": "R1", ...}."""
+    """Settings that a result follows from, flattened: {"scene.name": "R1", ...}.
+
+    Where the package keeps a class is no setting; its name is.
+    """
     flat: dict[str, Any] = {}
     for key, value in config.items():
         name = f"{prefix}{key}"
         if name in _FREE:
             continue
-        flat.update(_binding(value, f"{name}.") if isinstance(value, dict) else {name: value})
+        if isinstance(value, dict):
+            flat.update(_binding(value, f"{name}."))
+        elif key == "_target_" and str(value).startswith("toile."):
+            flat[name] = str(value).rpartition(".")[2]
+        else:
+            flat[name] = value
     return flat

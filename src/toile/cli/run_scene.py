@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import torch
@@ -35,5 +34,4 @@ def run_scene(
     offset = None if trajectory is None else trajectory.parameters.get(TEXTURE_OFFSET)
     if offset is None or offset.shape != tuple(scene.texture_coordinates.shape):
         return scene
-    fitted = scene.texture_coordinates + torch.from_numpy(offset).to(scene.texture_coordinates.dtype)
-    return replace(scene, texture_coordinates=fitted)
+    return scene.with_texture_offset(torch.from_numpy(offset))

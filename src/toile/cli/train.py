@@ -12,7 +12,7 @@ from typing import Any
 
 import pandas as pd
 import torch
-from lightning import Trainer
+from lightning import Callback, Trainer
 from omegaconf import DictConfig
 
 from toile.cli.alone import alone
@@ -23,11 +23,12 @@ from toile.cli.resume import last_checkpoint
 from toile.cli.terminal import print_path
 from toile.cli.trainer import make_trainer
 from toile.learning.quiet import quiet_lightning
+from toile.learning.surrogate.average import AverageSurrogate
+from toile.learning.surrogate.batches import PoolBatches
 from toile.learning.surrogate.callbacks.stopping import StopBetweenSteps
 from toile.learning.surrogate.module import STATE, SurrogateTraining
 from toile.learning.surrogate.pictures import residual_curve
 from toile.learning.surrogate.settings import TrainingSettings
-from toile.learning.surrogate.steps import Steps
 from toile.physics.surrogate.surrogate import Surrogate
 from toile.physics.surrogate.weights import save_weights
 from toile.reports.figures import save_figure
@@ -57,9 +58,9 @@ def run(cfg: DictConfig) -> None:
     settings: TrainingSettings = instantiate(cfg.training)
     torch.set_num_threads(cfg.threads or os.cpu_count() or 1)
     torch.manual_seed(cfg.seed)
-    module = SurrogateTraining(Surrogate(settings.widths), settings, cfg.seed)
-    stop = StopBetweenSteps(cfg.max_minutes)
-    trainer = build_trainer(cfg, stop)
+    module = SurrogateTraining(Surrogate(settings.widths), settings)
+    stop, average = StopBetweenSteps(cfg.max_minutes), AverageSurrogate(settings.average_decay)
+    trainer = build_trainer(cfg, stop, average)
     if trainer.is_global_zero:
         write_config(folder, config)
         write_git_revision(folder)
@@ -67,10 +68,12 @@ def run(cfg: DictConfig) -> None:
         check_checkpoint(checkpoint, module, STATE, "training")
         log.info("continuing from %s", checkpoint)
     with _restartable_command():
-        trainer.fit(module, Steps(module), ckpt_path=checkpoint, weights_only=True)
+        trainer.fit(
+            module, datamodule=PoolBatches(settings, cfg.seed), ckpt_path=checkpoint, weights_only=True
+        )
     if not trainer.is_global_zero:
         return
-    write_results(folder, cfg, module)
+    write_results(folder, cfg, module, average.surrogate)
     if not module.finished:
         reason = "interrupted" if stop.interrupted else f"{stop.minutes:g} minutes are over"
         print_path(folder.path, f": stopped after {module.steps_done} of {settings.n_steps} steps, {reason}")
@@ -81,15 +84,14 @@ def run(cfg: DictConfig) -> None:
     print_path(folder.path / WEIGHTS)
 
 
-def build_trainer(cfg: DictConfig, stop: StopBetweenSteps) -> Trainer:
-    """The trainer with the configured callbacks; what may stop it comes first."""
-    callbacks = [stop, *(c for c in instantiate(cfg.callbacks).values() if c is not None)]
+def build_trainer(cfg: DictConfig, *own: Callback) -> Trainer:
+    """The trainer with the command's own callbacks, which come first, and the configured ones."""
+    callbacks = [*own, *(c for c in instantiate(cfg.callbacks).values() if c is not None)]
     logger: Any = instantiate(cfg.logger) if cfg.get("logger") else False
-    trainer = make_trainer(cfg.trainer, callbacks, logger)
-    return trainer
+    return make_trainer(cfg.trainer, callbacks, logger)
 
 
-def write_results(folder: RunFolder, cfg: DictConfig, module: SurrogateTraining) -> None:
+def write_results(folder: RunFolder, cfg: DictConfig, module: SurrogateTraining, average: Surrogate) -> None:
     """Write the averaged weights, the history, and what the last validation has shown."""
     last = module.history[-1] if module.history else {}
     description = {
@@ -98,11 +100,11 @@ def write_results(folder: RunFolder, cfg: DictConfig, module: SurrogateTraining)
         "grid": "x".join(map(str, module.settings.pool.grid)),
         "steps": f"{module.steps_done} of {module.settings.n_steps}",
         "minutes": f"{module.seconds / 60:.1f}",
-        "seed": str(module.seed),
+        "seed": str(cfg.seed),
         "git revision": current_git_revision(),
         "validation residual, median": f"{last.get('validation residual/median', float('nan')):.4g}",
     }
-    save_weights(folder.path / WEIGHTS, module.average.surrogate, description)
+    save_weights(folder.path / WEIGHTS, average, description)
     if module.history:
         write_history(folder, pd.DataFrame(module.history))
     if module.validation is not None:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from lightning import Callback, Trainer
+from lightning.pytorch.callbacks import Checkpoint
 from lightning.pytorch.utilities.exceptions import MisconfigurationException
 from omegaconf import DictConfig
 
@@ -14,13 +15,16 @@ from toile.errors import InputError
 
 
 def make_trainer(settings: DictConfig, callbacks: Sequence[Callback], logger: Any) -> Trainer:
-    """The trainer that the configuration describes.
+    """The trainer that the configuration describes; with checkpoints where a callback writes them.
 
     Raises:
         InputError: this machine, or Lightning, does not have what it asks for.
     """
+    given: dict[str, Any] = {"callbacks": list(callbacks), "logger": logger}
+    if "enable_checkpointing" not in settings:
+        given["enable_checkpointing"] = any(isinstance(c, Checkpoint) for c in callbacks)
     try:
-        trainer: Trainer = instantiate(settings)(callbacks=list(callbacks), logger=logger)
+        trainer: Trainer = instantiate(settings)(**given)
     except (MisconfigurationException, ValueError, TypeError, ImportError) as error:
         raise InputError(
             "The trainer cannot be made",

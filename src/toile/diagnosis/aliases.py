@@ -20,8 +20,8 @@ def alias_of(mechanics: Mechanics, size: Discrepancy, calibration: Calibration, 
         weights: how much of it counts.
     """
     fisher = mechanics.evidence.fisher(size)
-    names = list(mechanics.columns)
-    blocks = [slice(*mechanics.columns[name]) for name in names]
+    names = list(mechanics.coefficients)
+    blocks = [slice(*mechanics.coefficients[name]) for name in names]
     roots = []
     for block in blocks:
         values, vectors = np.linalg.eigh(fisher[block, block] + 1e-3 * np.eye(block.stop - block.start))

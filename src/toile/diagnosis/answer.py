@@ -1,17 +1,18 @@
-"""From what the stages have found to probabilities, and to the report."""
+"""From what the stages have found to probabilities."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from toile.diagnosis.decision import UNKNOWN, Calibration, Weights, probabilities, tempered
+from toile.diagnosis.decision import UNKNOWN, Calibration, probabilities, tempered
 from toile.diagnosis.findings import Finding, Screening, finding
+from toile.diagnosis.mechanics import Mechanics
+from toile.diagnosis.problem import DiagnosisProblem
 from toile.diagnosis.refits import Race
-from toile.diagnosis.stages import WindowPredictions
-from toile.effects.base import Effect
+from toile.diagnosis.results import ConvergedBase, Seen, StepError, WindowPredictions
 
 
 @dataclass(frozen=True)
@@ -37,33 +38,29 @@ class Weighed:
 
 
 def weighed(
-    seen: Mapping[str, Finding],
-    screening: Screening,
+    problem: DiagnosisProblem,
+    mechanics: Mechanics,
+    seen: Seen,
+    converged: ConvergedBase,
     race: Race,
     predictions: WindowPredictions,
-    effects: Mapping[str, Effect],
-    *,
-    step_error: float,
-    used: int,
-    usual_cost: float,
-    weights: Weights,
+    step_error: StepError,
     calibration: Calibration,
 ) -> Weighed:
     """Put together what all stages say of every candidate.
 
     Args:
+        problem: the clip.
+        mechanics: around the base model.
         seen: findings without a model of the motion.
-        screening: to first order.
+        converged: effects to first order.
         race: refits.
         predictions: by those.
-        effects: that move the cloth, by name.
-        step_error: what half the time step changes, over the cloth's width.
-        used: frames fitted.
-        usual_cost: of the images that a right model leaves, per fitted frame.
-        weights: what counts for how much.
+        step_error: what half the time step changes.
         calibration: see Calibration.
     """
-    findings = dict(seen)
+    settings, screening, effects = problem.settings, converged.screening, mechanics.effects
+    findings = dict(seen.findings)
     for name, screened in screening.findings.items():
         if name in race.effects:
             model = race.effects[name]
@@ -73,20 +70,21 @@ def weighed(
             # What has not been tried, or could not reach its score, speaks for nothing.
             findings[name] = replace(screened, log_evidence=min(screened.log_evidence, 0.0))
     evidence = {name: found.log_evidence for name, found in findings.items()}
-    left = min(model.image_cost for model in (race.base, *race.effects.values())) / used
+    left = min(model.image_cost for model in (race.base, *race.effects.values())) / problem.n_used(seen)
     for name in screening.findings:
         gain = predictions.gains.get(name, 0.0)
         size = predictions.sizes.get(name, np.inf)
-        counted = weights.combined(findings[name].log_evidence, gain, size, step_error)
-        evidence[name] = tempered(counted, left, usual_cost)
+        own = findings[name].log_evidence
+        counted = settings.weights.combined(own, gain, size, step_error.distance / mechanics.width)
+        evidence[name] = tempered(counted, left, settings.usual_cost)
     # What is unknown predicts nothing, better or worse.
-    unknown = weights.combined(race.beyond, 0.0)
+    unknown = settings.weights.combined(race.beyond, 0.0)
     chances = probabilities({**evidence, UNKNOWN: unknown}, calibration)
     return Weighed(findings, evidence, left, chances)
 
 
 def best_scoring(screening: Screening, least: float) -> dict[str, tuple[int, ...]]:
-    """Free numbers of the effects that are worth a fit of their own, the best-scoring first.
+    """Free coefficients of the effects that are worth a fit of their own, the best-scoring first.
 
     Args:
         screening: to first order.

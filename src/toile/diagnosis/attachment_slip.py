@@ -112,7 +112,7 @@ def slip_evidence(
         fps: frames per second.
         pull: direction (n_pinned, 3) in which the cloth pulls at each of them; an attachment only gives way
             to it. None if unknown.
-        settings: see GripSettings.
+        settings: see SlipSettings.
 
     Returns:
         See SlipFit; without evidence (0) if fewer than two vertices are pinned or the clip is too short.
@@ -201,7 +201,7 @@ def _solved(positions: Array, vertex: int, fps: float, shapes: Array, settings: 
     errors = (1 + 1 / len(others)) * np.eye(3) + (s.along**2 - 1) * along
     T, K = len(common), len(shapes)
     lag = np.abs(np.subtract.outer(np.arange(T), np.arange(T))) / fps
-    columns: Array = np.einsum("kt,ab->takb", shapes, np.eye(3)).reshape(3 * T, -1)
+    sensitivities: Array = np.einsum("kt,ab->takb", shapes, np.eye(3)).reshape(3 * T, -1)
     share = s.share**2 * np.einsum("ta,ub,ab->taub", common, common, np.eye(3)).reshape(3 * T, -1)
     null, slope, information, jumps = [], [], [], []
     for across, memory, sway in product(s.across, s.memory, s.sway):
@@ -209,11 +209,11 @@ def _solved(positions: Array, vertex: int, fps: float, shapes: Array, settings: 
         C = np.kron(drift, errors) + share
         C += np.kron(sway**2 * np.exp(-0.5 * (lag / s.slow) ** 2), 2 * np.eye(3))
         factor = cho_factor(C, lower=True)
-        weighted = cho_solve(factor, np.column_stack((relative, columns)))
+        weighted = cho_solve(factor, np.column_stack((relative, sensitivities)))
         log_det = 2 * float(np.log(np.diag(factor[0])).sum())
         null.append(-0.5 * float(relative @ weighted[:, 0]) - 0.5 * log_det)
-        slope.append((columns.T @ weighted[:, 0]).reshape(K, 3))
-        blocks, solved = columns.reshape(3 * T, K, 3), weighted[:, 1:].reshape(3 * T, K, 3)
+        slope.append((sensitivities.T @ weighted[:, 0]).reshape(K, 3))
+        blocks, solved = sensitivities.reshape(3 * T, K, 3), weighted[:, 1:].reshape(3 * T, K, 3)
         information.append(np.einsum("ska,skb->kab", blocks, solved))
         jump = min(s.jump * across * max(1.0, across / s.well_tracked), s.farthest)
         jumps.append(jump**2 * errors)

@@ -61,23 +61,23 @@ def base_deviations(shooting: Shooting) -> Array:
     return np.array([s.stiffness] * 3 + [s.wind] * 2)
 
 
-def base_columns(
+def base_sensitivities(
     shooting: Shooting, base: Base, masses: Array | None = None
 ) -> Callable[[StepForces], Array]:
-    """Force columns (5, N, 3) of the base's values; masses (N,) [kg] if not those of the base model.
+    """Force sensitivities (5, N, 3) of the base's values; masses (N,) [kg] if not those of the base model.
 
     Stiffer threads do not pull more where they are as long as in the template, see template_tension.
     """
     masses = shooting.masses if masses is None else masses
     wind = np.stack([masses[:, None] * axis for axis in shooting.horizontal])
 
-    def columns(step: StepForces) -> Array:
+    def sensitivities(step: StepForces) -> Array:
         stiffer = -base.stiffness[:, None, None] * step.unit_gradients
         if shooting.tension is not None:
             stiffer[0] -= shooting.tension.force(step.positions, shooting.simulator.cloth)
         return np.concatenate((stiffer, wind))
 
-    return columns
+    return sensitivities
 
 
 def nothing_seen(frame: int, positions: Array) -> Array:
@@ -94,7 +94,7 @@ def window_bounds(n_frames: int, window: int) -> list[tuple[int, int]]:
 
 
 def local_scales(shooting: Shooting, n: int) -> Array:
-    """What turns the local columns of Shooting.normal into standardised ones (n_local,)."""
+    """What turns the local unknowns of Shooting.normal into standardised ones (n_local,)."""
     settings = shooting.settings
     return shooting.deviations(n, settings.force, settings.external) / shooting.deviations(n, 1.0, 1.0)
 
@@ -160,9 +160,9 @@ def improved(
     little: list[bool] = []
     for _ in range(s.passes if passes is None else passes):
         base = base_of(stiffness, values)
-        columns = base_columns(shooting, base)
+        sensitivities = base_sensitivities(shooting, base)
         systems = window_systems(
-            shooting, windows, base, [columns] * len(windows), nothing_seen, N_BASE, workers=workers
+            shooting, windows, base, [sensitivities] * len(windows), nothing_seen, N_BASE, workers=workers
         )
         evidence = Evidence(systems, values, deviation)
         before = cost + 0.5 * float(((values / deviation) ** 2).sum())
@@ -209,9 +209,9 @@ def window_systems(
         shooting: the problem.
         windows: simulated.
         base: with which they were.
-        shared: force columns of every window, see Shooting.normal.
+        shared: force sensitivities of every window, see Shooting.normal.
         seen: apparent displacements, see there.
-        n_shared: columns of both.
+        n_shared: unknowns of both.
         simulator: with which they were, if not with that of the base model.
         workers: share the windows.
     """
@@ -251,7 +251,7 @@ def changed_windows(
     Args:
         shooting: the problem.
         windows: as they are.
-        changes: of the local columns of each, see Shooting.normal.
+        changes: of the local unknowns of each, see Shooting.normal.
         base: stiffness and wind.
         effects: in the model.
         around: the whole clip; needed with effects.
@@ -309,7 +309,7 @@ def _sweep(
         information = np.zeros_like(prior)
         for _ in range(s.iterations):
             base = base_of(stiffness, values)
-            G, g, _ = shooting.normal(window, base, base_columns(shooting, base), nothing_seen, N_BASE)
+            G, g, _ = shooting.normal(window, base, base_sensitivities(shooting, base), nothing_seen, N_BASE)
             L = np.concatenate((np.ones(N_BASE), scales))
             H = L[:, None] * G * L
             right = -L * g

@@ -13,12 +13,11 @@ import torch
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from toile.diagnosis.effect_columns import derivatives
+from toile.diagnosis.effect_sensitivities import derivatives
 from toile.effects.base import BrightnessEffect, Effect
 from toile.geometry.mesh import grid_faces, vertex_normals
 from toile.limits import Count, Fraction, NonNegative, Positive, Unit
-from toile.reconstruction.gauss_newton.recipe import visible
-from toile.reconstruction.image_terms.texture_points import grid_points
+from toile.reconstruction.image_terms.texture_points import grid_points, visible
 from toile.reconstruction.problem import Reconstruction
 
 Array = NDArray[np.float64]
@@ -113,7 +112,7 @@ class BrightnessFit:
 
     Attributes:
         log_evidence: against no effect.
-        mean, covariance: of its numbers in units of their prior deviations.
+        mean, covariance: of its coefficients in units of their prior deviations.
         explained: share of the squared change that it explains.
         change: root mean square change that there was to explain.
     """
@@ -130,12 +129,12 @@ def brightness_evidence(
 ) -> BrightnessFit:
     """Evidence that light on turning surfaces explains the changes of brightness.
 
-    The light may turn during the clip: besides the effect's own columns there are the same with slow changes
-    in time, which a fixed light does not need and the evidence penalises.
+    The light may turn during the clip: besides the effect's own sensitivities there are the same with slow
+    changes in time, which a fixed light does not need and the evidence penalises.
 
     The noise of every frame is its own, that of a sensor and what light does not explain there: where the
     tracking is lost, colours are those of other places, and a few such frames must not decide. It is profiled
-    out, and the numbers by Laplace's approximation at their most probable values.
+    out, and the coefficients by Laplace's approximation at their most probable values.
     """
     scales = effect.scales
     normals = torch.from_numpy(seen.normals)
@@ -155,15 +154,15 @@ def brightness_evidence(
     y = seen.brightness
     total = (weights * y**2).sum(1)
     best: BrightnessFit | None = None
-    for columns in (fixed, np.concatenate(turning, -1)):
-        mean = np.zeros(columns.shape[-1])
+    for sensitivities in (fixed, np.concatenate(turning, -1)):
+        mean = np.zeros(sensitivities.shape[-1])
         rest = total
         for _ in range(settings.passes):
             noise = (counts + rest) / np.maximum(counts, 1e-9)
-            weighted = columns * (weights / noise[:, None])[..., None]
-            H = np.eye(len(mean)) + np.einsum("fpk,fpl->kl", weighted, columns)
+            weighted = sensitivities * (weights / noise[:, None])[..., None]
+            H = np.eye(len(mean)) + np.einsum("fpk,fpl->kl", weighted, sensitivities)
             mean = np.linalg.solve(H, np.einsum("fpk,fp->k", weighted, y))
-            rest = (weights * (y - columns @ mean) ** 2).sum(1)
+            rest = (weights * (y - sensitivities @ mean) ** 2).sum(1)
         there = counts > 0
         gain = counts[there] * np.log((counts + total)[there] / (counts + rest)[there])
         value = 0.5 * float(gain.sum() - mean @ mean - np.linalg.slogdet(H)[1]) - float(np.log(2))

@@ -43,7 +43,7 @@ class Link:
 
     Attributes:
         jump: at present (m,).
-        ratio: its derivative by the window's first m local columns (m,).
+        ratio: its derivative by the window's first m local unknowns (m,).
         before: derivative of the end (m, n_shared + n_local of the window before).
     """
 
@@ -57,9 +57,9 @@ class WindowSystem:
     """Gauss-Newton system of one window over [shared | local].
 
     Attributes:
-        matrix, gradient: of the image term, local force columns in m/s².
+        matrix, gradient: of the image term, local forces in m/s².
         standardised: current local unknowns in units of the base fit's deviations.
-        internal, external: which local columns are forces of that kind (n_local,).
+        internal, external: which local unknowns are forces of that kind (n_local,).
         fitted: deviations of the forces in the base fit.
         link: to the window before; without one the start has a prior of its own.
     """
@@ -73,7 +73,7 @@ class WindowSystem:
     link: Link | None = None
 
     def with_shared(self, kept: Sequence[int]) -> WindowSystem:
-        """The same with some of the shared columns."""
+        """The same with some of the shared unknowns."""
         n = len(self.gradient) - len(self.standardised)
         at = np.array([*kept, *range(n, len(self.gradient))])
         link = self.link
@@ -166,7 +166,7 @@ class Joined:
         return step.constant
 
     def locals(self, shared: Array) -> list[Array]:
-        """Best change of every window's local columns for a change of the shared unknowns."""
+        """Best change of every window's local unknowns for a change of the shared unknowns."""
         n = len(shared)
         found: list[Array] = []
         following = np.zeros(0)
@@ -202,7 +202,7 @@ class _Eliminated:
 
 
 def _scaled(s: WindowSystem, size: Discrepancy) -> tuple[Array, Array]:
-    """Prior deviations of the local columns and their standardised values, at a size of the discrepancy."""
+    """Prior deviations of the local unknowns and their standardised values, at a size of the discrepancy."""
     scale = np.ones(len(s.standardised))
     fitted = np.ones(len(s.standardised))
     for kind, now, then in zip((s.internal, s.external), size, s.fitted, strict=True):

@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from toile.diagnosis.made_with import MadeWith
 from toile.diagnosis.record import CalibrationUse
 from toile.errors import InputError
+from toile.json_file import place
 from toile.limits import Finite, NonNegative, Positive
 
 NONE = "none"
@@ -123,8 +124,7 @@ class Calibration:
             found = _File.model_validate_json(text)
         except ValidationError as error:
             first = error.errors()[0]
-            place = ".".join(map(str, first["loc"])) or "the file"
-            raise _wrong(path, f"{place}: {first['msg']}") from error
+            raise _wrong(path, f"{place(first['loc']) or 'the file'}: {first['msg']}") from error
         made_with = None if found.settings is None else MadeWith(found.settings)
         if made_with is not None and found.settings_digest != made_with.digest:
             raise _wrong(path, f"settings_digest {found.settings_digest} of other settings than those listed")

@@ -16,7 +16,7 @@ from toile.diagnosis.refits import Refit, acting_with, within_bounds
 def effect_size(mechanics: Mechanics, model: Refit) -> float:
     """Mean distance [m] of windows with the effect from those without it, all else equal; second halves.
 
-    The effect has the numbers that are estimated, which its refit may still be on the way to.
+    The effect has the coefficients that are estimated, which its refit may still be on the way to.
     """
     shooting = mechanics.shooting
     (effect,) = model.effects
@@ -27,7 +27,7 @@ def effect_size(mechanics: Mechanics, model: Refit) -> float:
         try:
             there = shooting.simulate(window, window.standardised, model.base, acting, mechanics.around)
         except FloatingPointError:
-            # So strong that a step blows up here; the refit's own numbers did not.
+            # So strong that a step blows up here; the refit's own coefficients did not.
             there = window
         distance = np.linalg.norm((there.positions - without.positions)[:: shooting.substeps], axis=-1)
         away.append(distance[len(distance) // 2 :].mean())

@@ -1,7 +1,7 @@
 """How well each hypothesis explains what the base model leaves: Gaussian evidence around the base fit.
 
 Unknown are the local quantities of every window, among them a smooth force field of unknown size (the
-discrepancy), the base's stiffness and wind, and a hypothesis' own numbers. All are Gaussian a priori and
+discrepancy), the base's stiffness and wind, and a hypothesis' own coefficients. All are Gaussian a priori and
 enter linearly around the base fit, so all but the size of the discrepancy is integrated out, and that is
 scanned. A hypothesis gains by making the discrepancy small, not by fitting better.
 """
@@ -33,18 +33,18 @@ class Posterior:
     """One hypothesis.
 
     Attributes:
-        log_evidence: integrated over the hypothesis' numbers, at its best discrepancy.
+        log_evidence: integrated over the hypothesis' coefficients, at its best discrepancy.
         discrepancy: that one.
-        mean, covariance: of the effect's numbers, in units of their prior deviations, (n,), (n, n).
-        columns: which columns those are.
-        prior_inflation: deviation of the numbers a priori, in the same units.
+        mean, covariance: of the effect's coefficients, in units of their prior deviations, (n,), (n, n).
+        free: which of the shared unknowns those are.
+        prior_inflation: deviation of the coefficients a priori, in the same units.
     """
 
     log_evidence: float
     discrepancy: Discrepancy
     mean: Array
     covariance: Array
-    columns: tuple[int, ...]
+    free: tuple[int, ...]
     prior_inflation: float
 
 
@@ -55,9 +55,9 @@ class EvidenceSettings:
     Attributes:
         internal: deviations of an internal force mode that are tried [m/s²].
         external: of an external one.
-        prior_inflation: factor on the prior deviations of an effect's numbers: those say how large a number
+        prior_inflation: factor on the prior deviations of an effect's coefficients: those say how large one
             usually is, not how large it can be.
-        many: numbers of an effect from which on their common scale is found.
+        many: coefficients of an effect from which on their common scale is found.
         scales: shares of the usual one that are tried for it, and penalised.
         forbidden: log evidence taken from an effect all of whose signs are impossible.
     """
@@ -89,7 +89,7 @@ class Evidence:
         values: base values of the fit (n_base,).
         deviations: their prior deviations.
         settings: see EvidenceSettings.
-        numbers: of the effects around which the systems are, in prior deviations; None for zeros.
+        coefficients: of the effects around which the systems are, in prior deviations; None for zeros.
         like: evidence whose determinants of the local unknowns stand for those here; None for their own.
             Around two motions they differ by where a fold is about to snap through, which is no knowledge.
     """
@@ -100,7 +100,7 @@ class Evidence:
         values: Array,
         deviations: Array,
         settings: EvidenceSettings = DEFAULT,
-        numbers: Array | None = None,
+        coefficients: Array | None = None,
         like: Evidence | None = None,
     ) -> None:
         self.systems = list(systems)
@@ -110,7 +110,7 @@ class Evidence:
         self.settings = settings
         self.prior_inflation = settings.prior_inflation
         self.n_shared = len(systems[0].gradient) - len(systems[0].standardised)
-        self.numbers = np.zeros(self.n_shared - self.n_base) if numbers is None else numbers
+        self.coefficients = np.zeros(self.n_shared - self.n_base) if coefficients is None else coefficients
         self._like = like
         self._reduced: dict[Discrepancy, Reduced] = {}
 
@@ -124,9 +124,9 @@ class Evidence:
         return self._reduced[size]
 
     def posterior(
-        self, columns: Sequence[int], largest: Discrepancy = ANY, prior_inflation: float | None = None
+        self, free: Sequence[int], largest: Discrepancy = ANY, prior_inflation: float | None = None
     ) -> Posterior:
-        """The hypothesis that frees these columns, at its best discrepancy up to ``largest``."""
+        """The hypothesis that frees these coefficients, at its best discrepancy up to ``largest``."""
         limit = self.settings.tried(largest)
         internal = sorted(d for d in self.settings.internal if d <= limit.internal)
         external = sorted(d for d in self.settings.external if d <= limit.external)
@@ -135,7 +135,7 @@ class Evidence:
         def at(place: tuple[int, int]) -> float:
             if place not in found:
                 size = Discrepancy(internal[place[0]], external[place[1]])
-                found[place] = self._at(columns, size, prior_inflation)
+                found[place] = self._at(free, size, prior_inflation)
             return found[place].log_evidence
 
         # Uphill from the best of three places: every size that is looked at costs an elimination of all
@@ -148,24 +148,24 @@ class Evidence:
                 return found[here]
             here = best
 
-    def signed(self, columns: Sequence[int], lowest: Array, largest: Discrepancy = ANY) -> Posterior:
-        """The best hypothesis among subsets of the columns whose numbers obey their bounds.
+    def signed(self, places: Sequence[int], lowest: Array, largest: Discrepancy = ANY) -> Posterior:
+        """The best hypothesis among subsets of coefficients that obey their bounds.
 
         Args:
-            columns: of one effect.
-            lowest: 0 where a number cannot be negative, -inf elsewhere.
+            places: of one effect's coefficients among the shared unknowns.
+            lowest: 0 where a coefficient cannot be negative, -inf elsewhere.
             largest: discrepancy.
         """
-        bounded = [i for i in range(len(columns)) if lowest[i] == 0]
-        free = [i for i in range(len(columns)) if lowest[i] != 0]
+        bounded = [i for i in range(len(places)) if lowest[i] == 0]
+        free = [i for i in range(len(places)) if lowest[i] != 0]
         best: Posterior | None = None
         subsets = [c for r in range(len(bounded) + 1) for c in combinations(bounded, r)]
         for subset in subsets:
-            chosen = [columns[i] for i in sorted((*subset, *free))]
+            chosen = [places[i] for i in sorted((*subset, *free))]
             if not chosen:
                 continue
             found = self.scaled(chosen, largest)
-            low = np.array([lowest[list(columns).index(c)] for c in found.columns])
+            low = np.array([lowest[list(places).index(c)] for c in found.free])
             if (found.mean < low).any():
                 continue
             if best is None or found.log_evidence > best.log_evidence:
@@ -175,27 +175,27 @@ class Evidence:
             return replace(none, log_evidence=none.log_evidence - self.settings.forbidden)
         return replace(best, log_evidence=best.log_evidence - sign_penalty(lowest))
 
-    def scaled(self, columns: Sequence[int], largest: Discrepancy) -> Posterior:
-        """The posterior; where an effect has many numbers, at their best common scale, which is penalised.
+    def scaled(self, free: Sequence[int], largest: Discrepancy) -> Posterior:
+        """The posterior; many coefficients of an effect are at their best common scale, which is penalised.
 
-        Each of many numbers is penalised for its prior's width, so a width that is too large by far hides a
-        field or a gust that is there (automatic relevance determination, MacKay 1992).
+        Each of many is penalised for its prior's width, so a width that is too large by far hides a field or
+        a gust that is there (automatic relevance determination, MacKay 1992).
         """
-        if len(columns) < self.settings.many:
-            return self.posterior(columns, largest)
+        if len(free) < self.settings.many:
+            return self.posterior(free, largest)
         scales = self.settings.scales
-        found = [self.posterior(columns, largest, share * self.prior_inflation) for share in scales]
+        found = [self.posterior(free, largest, share * self.prior_inflation) for share in scales]
         best = max(found, key=lambda posterior: posterior.log_evidence)
         return replace(best, log_evidence=best.log_evidence - float(np.log(len(scales))))
 
-    def loss_drop(self, columns: Sequence[int], size: Discrepancy) -> float:
-        """By how much the training loss falls with these columns free, without any penalty for them."""
+    def loss_drop(self, free: Sequence[int], size: Discrepancy) -> float:
+        """By how much the training loss falls with these coefficients free, without any penalty for them."""
         size = self.settings.tried(size)
-        free = self._at(columns, size, penalised=False).log_evidence
-        return free - self._at((), size, penalised=False).log_evidence
+        fitted = self._at(free, size, penalised=False).log_evidence
+        return fitted - self._at((), size, penalised=False).log_evidence
 
     def fisher(self, size: Discrepancy) -> Array:
-        """Information on all effect columns with base, starts, boundary and discrepancy integrated out."""
+        """Information on all effects' coefficients; base, local unknowns and discrepancy integrated out."""
         reduced = self.reduced(size)
         b = self.n_base
         A = reduced.matrix[:b, :b] + np.diag(self.deviations**-2)
@@ -204,17 +204,17 @@ class Evidence:
 
     def towards(
         self,
-        columns: Sequence[int],
+        free: Sequence[int],
         size: Discrepancy,
         damping: float,
         longest: Array,
         frozen: NDArray[np.bool_] | None = None,
         prior_inflation: float | None = None,
     ) -> tuple[Array, Array, list[Array]]:
-        """To where the hypothesis that frees these columns has its mean, or a part of the way.
+        """To where the hypothesis that frees these coefficients has its mean, or a part of the way.
 
         Args:
-            columns: see posterior.
+            free: see posterior.
             size: of the discrepancy.
             damping: 0 for all the way; what a step costs beside, in prior precisions: enough of it lowers
                 the cost wherever the cost can be lowered.
@@ -223,16 +223,16 @@ class Evidence:
             prior_inflation: see posterior.
 
         Returns:
-            Base values, the effect's numbers, and changes of every window's local columns.
+            Base values, the effect's coefficients, and changes of every window's local unknowns.
         """
         each = np.full(len(self.systems), damping)
         if frozen is not None:
             each[frozen] = _FROZEN
         joined, b = Joined(self.systems, size, each), self.n_base
-        index = np.array([*range(b), *columns], int)
+        index = np.array([*range(b), *free], int)
         prior_inflation = self.prior_inflation if prior_inflation is None else prior_inflation
-        scale = np.concatenate((self.deviations, np.full(len(columns), prior_inflation)))
-        now = np.concatenate((self.values, self.numbers[[c - b for c in columns]]))
+        scale = np.concatenate((self.deviations, np.full(len(free), prior_inflation)))
+        now = np.concatenate((self.values, self.coefficients[[c - b for c in free]]))
         H = joined.reduced.matrix[np.ix_(index, index)] + np.diag((1 + damping) / scale**2)
         step = np.linalg.solve(0.5 * (H + H.T), joined.reduced.right[index] - now / scale**2)
         step *= min(1.0, float((longest / np.maximum(np.abs(step[:b]), 1e-9)).min()))
@@ -242,18 +242,18 @@ class Evidence:
 
     def _at(
         self,
-        columns: Sequence[int],
+        free: Sequence[int],
         size: Discrepancy,
         prior_inflation: float | None = None,
         *,
         penalised: bool = True,
     ) -> Posterior:
         reduced = self.reduced(size)
-        index = np.array([*range(self.n_base), *columns], int)
+        index = np.array([*range(self.n_base), *free], int)
         prior_inflation = self.prior_inflation if prior_inflation is None else prior_inflation
-        scale = np.concatenate((self.deviations, np.full(len(columns), prior_inflation)))
-        numbers = self.numbers[[c - self.n_base for c in columns]]
-        mean = np.concatenate((self.values / self.deviations, numbers / prior_inflation))
+        scale = np.concatenate((self.deviations, np.full(len(free), prior_inflation)))
+        coefficients = self.coefficients[[c - self.n_base for c in free]]
+        mean = np.concatenate((self.values / self.deviations, coefficients / prior_inflation))
         H = np.eye(len(index)) + scale[:, None] * reduced.matrix[np.ix_(index, index)] * scale
         factor = positive_factor(H)
         right = scale * reduced.right[index] - mean
@@ -263,15 +263,15 @@ class Evidence:
             value -= np.log(np.diag(factor[0])).sum()
         covariance = scale[:, None] * cho_solve(factor, np.diag(scale))
         b = self.n_base
-        found = numbers + (scale * standardised)[b:]
-        return Posterior(float(value), size, found, covariance[b:, b:], tuple(columns), prior_inflation)
+        found = coefficients + (scale * standardised)[b:]
+        return Posterior(float(value), size, found, covariance[b:, b:], tuple(free), prior_inflation)
 
 
 def sign_penalty(lowest: Array) -> float:
-    """Penalty of an effect for the choice of numbers that are not at their bounds, see Evidence.signed.
+    """Penalty of an effect for the choice of coefficients that are not at their bounds, see Evidence.signed.
 
     Args:
-        lowest: 0 where a number cannot be negative, -inf elsewhere.
+        lowest: 0 where a coefficient cannot be negative, -inf elsewhere.
     """
     n = int((lowest == 0).sum())
     return float(np.log(2**n - (n == len(lowest))))

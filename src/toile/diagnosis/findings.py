@@ -24,7 +24,7 @@ class Finding:
 
     Attributes:
         log_evidence: against the base model.
-        mean, deviation: of its numbers in their own units, by name.
+        mean, deviation: of its coefficients in their own units, by name.
     """
 
     log_evidence: float
@@ -33,7 +33,7 @@ class Finding:
 
 
 def finding(effect: Effect, log_evidence: float, mean: Array, covariance: Array) -> Finding:
-    """A finding in the effect's own units from numbers in prior deviations, (n,) and (n, n)."""
+    """A finding in the effect's own units from coefficients in prior deviations, (n,) and (n, n)."""
     scales = effect.scales.numpy()
     deviation = np.sqrt(np.maximum(np.diag(covariance), 0)) * scales
     names = [parameter.name for parameter in effect.parameters]
@@ -50,7 +50,7 @@ class Screening:
 
     Attributes:
         findings: of effects that move the cloth.
-        free: which numbers of each are not at their bounds.
+        free: which coefficients of each are not at their bounds.
         penalties: log evidence that each has been penalised for that choice.
     """
 
@@ -74,15 +74,15 @@ def mechanical_findings(mechanics: Mechanics, usual: Discrepancy) -> Screening:
     findings: dict[str, Finding] = {}
     free: dict[str, tuple[int, ...]] = {}
     penalties: dict[str, float] = {}
-    for name, (a, b) in mechanics.columns.items():
+    for name, (a, b) in mechanics.coefficients.items():
         effect = mechanics.effects[name]
         if isinstance(effect, CameraEffect):
             continue
         low = np.array([0.0 if p.low == 0 else -np.inf for p in effect.parameters])
-        columns = list(range(evidence.n_base + a, evidence.n_base + b))
-        best = evidence.signed(columns, low, usual)
+        places = list(range(evidence.n_base + a, evidence.n_base + b))
+        best = evidence.signed(places, low, usual)
         mean, covariance = np.zeros(b - a), np.zeros((b - a, b - a))
-        at = [c - evidence.n_base - a for c in best.columns]
+        at = [c - evidence.n_base - a for c in best.free]
         mean[at] = best.mean
         covariance[np.ix_(at, at)] = best.covariance
         findings[name] = finding(effect, best.log_evidence - base.log_evidence, mean, covariance)
@@ -94,10 +94,10 @@ def mechanical_findings(mechanics: Mechanics, usual: Discrepancy) -> Screening:
 def naive_answer(mechanics: Mechanics, findings: Mapping[str, Finding]) -> str:
     """The candidate with the largest drop of the training loss: the baseline to beat."""
     evidence = mechanics.evidence
-    drops = {name: f.log_evidence for name, f in findings.items() if name not in mechanics.columns}
-    for name, (a, b) in mechanics.columns.items():
-        columns = list(range(evidence.n_base + a, evidence.n_base + b))
-        drop = evidence.loss_drop(columns, fitted_discrepancy(mechanics.shooting))
+    drops = {name: f.log_evidence for name, f in findings.items() if name not in mechanics.coefficients}
+    for name, (a, b) in mechanics.coefficients.items():
+        places = list(range(evidence.n_base + a, evidence.n_base + b))
+        drop = evidence.loss_drop(places, fitted_discrepancy(mechanics.shooting))
         drops[name] = max(drop, drops.get(name, -np.inf))
     return max(drops, key=lambda name: drops[name])
 

@@ -12,17 +12,17 @@ from numpy.typing import NDArray
 from toile.diagnosis.base_fit import (
     N_BASE,
     BaseFit,
-    base_columns,
     base_deviations,
+    base_sensitivities,
     fit_base,
     window_systems,
 )
 from toile.diagnosis.continuity import WindowSystem
-from toile.diagnosis.effect_columns import (
+from toile.diagnosis.effect_sensitivities import (
     FORCES,
     Instant,
-    apparent_columns,
-    force_columns,
+    apparent_sensitivities,
+    force_sensitivities,
 )
 from toile.diagnosis.evidence import DEFAULT, Evidence, EvidenceSettings
 from toile.diagnosis.model_grid import ModelGrid
@@ -35,6 +35,7 @@ from toile.diagnosis.workers import ALONE, Workers
 from toile.effects.base import CameraEffect, Effect, Surroundings
 from toile.geometry.camera import Camera
 from toile.geometry.horizontal import horizontal_axes
+from toile.physics.frame_steps import fewest_substeps
 from toile.physics.implicit.integrators import BDF2
 from toile.physics.implicit.newton import NewtonSettings
 from toile.physics.implicit.simulator import ImplicitSimulator
@@ -51,7 +52,7 @@ class Mechanics:
         shooting: the problem.
         fit: the base model.
         evidence: of hypotheses; none about effects before the base model's refit has converged, see refits.
-        columns: (first, last + 1) of every effect's columns, by name.
+        coefficients: (first, last + 1) of every effect's coefficients among those of all effects, by name.
         effects: by name.
         around: the nominal clip on the model's grid.
     """
@@ -59,14 +60,14 @@ class Mechanics:
     shooting: Shooting
     fit: BaseFit
     evidence: Evidence
-    columns: dict[str, tuple[int, int]]
+    coefficients: dict[str, tuple[int, int]]
     effects: dict[str, Effect]
     around: Surroundings
 
-
-def substeps_per_frame(fps: float, longest: float) -> int:
-    """Sub-steps no longer than ``longest`` [s]."""
-    return max(1, int(np.ceil(1 / fps / longest - 1e-9)))
+    @property
+    def width(self) -> float:
+        """Of the cloth [m]."""
+        return self.around.cloth_size[0]
 
 
 def analyse_mechanics(
@@ -126,7 +127,7 @@ def shooting_of(
         settings: see ShootingSettings.
         longest_substep: [s].
     """
-    substeps = substeps_per_frame(scene.fps, longest_substep)
+    substeps = fewest_substeps(1 / scene.fps, longest_substep)
     gravity = scene.gravity.numpy().astype(np.float64)
     horizontal = horizontal_axes(torch.from_numpy(gravity)).numpy()
     tension = template_tension(grid.cloth, tracked.positions[0], gravity, horizontal, settings.tension_ridge)
@@ -165,7 +166,7 @@ def mechanics_around(
     Args:
         shooting: the problem.
         fit: the base model.
-        systems: around it, of all windows, with the columns of all effects or without.
+        systems: around it, of all windows, with the coefficients of all effects or without.
         effects: candidates; those that act neither through forces nor the camera are passed over.
         around: the nominal clip on the model's grid.
         hypotheses: how the evidence of one is found.
@@ -176,14 +177,14 @@ def mechanics_around(
         for effect in effects
         if isinstance(effect, (*FORCES, CameraEffect))
     ]
-    # Columns of forces come first, see Shooting.normal.
+    # Those that act through forces come first, see Shooting.normal.
     acting.sort(key=lambda effect: isinstance(effect, CameraEffect))
-    columns, at = {}, 0
+    coefficients, at = {}, 0
     for effect in acting:
-        columns[effect.NAME] = (at, at + len(effect.scales))
+        coefficients[effect.NAME] = (at, at + len(effect.scales))
         at += len(effect.scales)
     evidence = Evidence(systems, fit.values, base_deviations(shooting), hypotheses)
-    return Mechanics(shooting, fit, evidence, columns, {e.NAME: e for e in acting}, around)
+    return Mechanics(shooting, fit, evidence, coefficients, {e.NAME: e for e in acting}, around)
 
 
 def effect_systems(
@@ -195,7 +196,7 @@ def effect_systems(
     n_effects: int,
     workers: Workers = ALONE,
 ) -> list[WindowSystem]:
-    """Gauss-Newton systems of all windows with the columns of all effects, at their numbers.
+    """Gauss-Newton systems of all windows with the coefficients of all effects, where they are.
 
     Args:
         shooting: the problem.
@@ -203,7 +204,7 @@ def effect_systems(
         effects: those that act through forces, then those of the camera.
         around: the whole clip.
         camera: nominal; needed with effects of the camera.
-        n_effects: numbers of all effects.
+        n_effects: coefficients of all effects.
         workers: share the windows.
     """
     base = fit.base
@@ -211,7 +212,7 @@ def effect_systems(
     if any(effect.is_active for effect in effects):
         wind = torch.from_numpy(base.wind @ shooting.horizontal)
         simulator = changed_simulation(shooting, effects, around, wind)[0]
-    of_base = base_columns(shooting, base, simulator.cloth.masses.numpy())
+    of_base = base_sensitivities(shooting, base, simulator.cloth.masses.numpy())
     forces = [effect for effect in effects if isinstance(effect, FORCES)]
     cameras = [effect for effect in effects if isinstance(effect, CameraEffect)]
     if cameras and camera is None:
@@ -223,17 +224,21 @@ def effect_systems(
     after = () if shooting.tension is None else (shooting.tension,)
 
     def shared(window: WindowMotion) -> Callable[[StepForces], Array]:
-        def columns(step: StepForces) -> Array:
+        def sensitivities(step: StepForces) -> Array:
             time = window.first / around.fps + (step.index + 1) * h
             boundary = step.positions[pinned]
             now = Instant(step, time, h, base.stiffness, acceleration, boundary, after)
-            return np.concatenate((of_base(step), *(force_columns(e, now, around) for e in forces)))
+            return np.concatenate((of_base(step), *(force_sensitivities(e, now, around) for e in forces)))
 
-        return columns
+        return sensitivities
 
     def seen(frame: int, positions: Array) -> Array:
-        found = [apparent_columns(e, positions, template, camera) for e in cameras if camera is not None]
+        found = [
+            apparent_sensitivities(e, positions, template, camera) for e in cameras if camera is not None
+        ]
         return np.concatenate(found) if found else np.zeros((0, *positions.shape))
 
-    columns = [shared(window) for window in fit.windows]
-    return window_systems(shooting, fit.windows, base, columns, seen, N_BASE + n_effects, simulator, workers)
+    of_windows = [shared(window) for window in fit.windows]
+    return window_systems(
+        shooting, fit.windows, base, of_windows, seen, N_BASE + n_effects, simulator, workers
+    )

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
-from toile.diagnosis.effect_columns import derivatives
+from toile.diagnosis.effect_sensitivities import derivatives
 from toile.effects.base import CameraEffect, Effect, MaskEffect
 from toile.limits import Count, NonNegative, Positive, Unit
 from toile.scenes.scene import Scene
@@ -60,7 +60,7 @@ DEFAULT = OutlineSettings()
 
 @dataclass(frozen=True)
 class Outline:
-    """Border points of frame 0.
+    """Outline points of frame 0.
 
     Attributes:
         pixels: (n, 2) [px].
@@ -76,7 +76,7 @@ class Outline:
 
 
 def template_outline(scene: Scene, settings: OutlineSettings = DEFAULT) -> Outline:
-    """Border of the template and its distance to the first mask."""
+    """Outline of the template and its distance to the first mask."""
     pixels = scene.camera.project(scene.template).numpy().astype(np.float64)
     p = pixels
     along = (p[0, 2:] - p[0, :-2], p[-1, 2:] - p[-1, :-2], p[2:, 0] - p[:-2, 0], p[2:, -1] - p[:-2, -1])
@@ -120,7 +120,7 @@ def _sample(image: Array, at: Array) -> Array:
 
 
 def outline_sensitivities(effect: Effect, scene: Scene, at: Outline) -> Array:
-    """Change of the distances (n, n_parameters) per prior deviation of an effect's numbers, at zero."""
+    """Change of the distances (n, n_parameters) per prior deviation of an effect's coefficients, at zero."""
     if isinstance(effect, MaskEffect):
 
         def grown(acting: Effect) -> torch.Tensor:
@@ -145,7 +145,7 @@ class OutlineFit:
 
     Attributes:
         log_evidence: against no effect.
-        mean, covariance: of its numbers in units of their prior deviations.
+        mean, covariance: of its coefficients in units of their prior deviations.
     """
 
     log_evidence: float
@@ -162,12 +162,12 @@ def outline_evidence(
     noises = [(noise, 0.0) for noise in settings.raster]
     noises += [(noise, 0.0 if masked else settings.ragged_against_camera) for noise in settings.ragged]
     null = max(_log_likelihood(at.distances, noise, share) for noise, _ in noises)
-    columns = outline_sensitivities(effect, scene, at)
-    if not columns.any():
-        return OutlineFit(0.0, np.zeros(columns.shape[1]), np.eye(columns.shape[1]))
+    sensitivities = outline_sensitivities(effect, scene, at)
+    if not sensitivities.any():
+        return OutlineFit(0.0, np.zeros(sensitivities.shape[1]), np.eye(sensitivities.shape[1]))
     best: OutlineFit | None = None
     for strength, (noise, penalty) in itertools.product(settings.strengths, noises):
-        J = strength * columns
+        J = strength * sensitivities
         H = np.eye(J.shape[1]) + share * J.T @ J / noise**2
         covariance = np.linalg.inv(H)
         mean = covariance @ (share * J.T @ at.distances / noise**2)

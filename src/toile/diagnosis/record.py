@@ -24,15 +24,18 @@ missing answer.
 from __future__ import annotations
 
 import json
-import math
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, fields
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, ClassVar, TypeVar
+
+from pydantic import AfterValidator, ConfigDict, TypeAdapter, ValidationError
 
 from toile.atomic_file import write_text
 from toile.errors import InputError
-from toile.json_file import read_json_object
+from toile.json_file import place, read_json_object
+from toile.limits import Fraction
 
 DIAGNOSIS_FILE = "diagnosis.json"
 
@@ -45,6 +48,22 @@ AMBIGUOUS = "ambiguous"
 """Verdict: one of the candidates, and the clip cannot tell which."""
 UNKNOWN = "unknown"
 """Verdict: something that is not in the catalogue."""
+
+
+_Interval = TypeVar("_Interval", "Estimate", "Shrink")
+
+
+def _in_order(part: _Interval) -> _Interval:
+    if not part.low <= part.estimate <= part.high:
+        raise ValueError(f"an estimate between {part.low} and {part.high}")
+    return part
+
+
+def _square(alias: Alias) -> Alias:
+    n = len(alias.names)
+    if [len(row) for row in alias.matrix] != [n] * n:
+        raise ValueError(f"{n} rows of {n} numbers in matrix, as names says")
+    return alias
 
 
 @dataclass(frozen=True)
@@ -99,9 +118,9 @@ class EffectReport:
 
     name: str
     stage: str
-    probability: float
-    parameters: dict[str, Estimate] = field(default_factory=dict)
-    shrink: Shrink | None = None
+    probability: Fraction
+    parameters: dict[str, Annotated[Estimate, AfterValidator(_in_order)]] = field(default_factory=dict)
+    shrink: Annotated[Shrink, AfterValidator(_in_order)] | None = None
 
 
 @dataclass(frozen=True)
@@ -122,7 +141,7 @@ class Verdict:
     effect: str
     candidates: tuple[str, ...]
     stage: str
-    probability: float
+    probability: Fraction
     reason: str
     next_recording: str
     also: str | None = None
@@ -219,10 +238,13 @@ class GapReport:
         warnings: what is remarkable about the scene, one sentence each.
     """
 
+    # Of this and of every part: numbers are finite, nothing is converted, and no key is passed over.
+    __pydantic_config__: ClassVar = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
+
     verdict: Verdict
     where: Where
     effects: tuple[EffectReport, ...]
-    alias: Alias
+    alias: Annotated[Alias, AfterValidator(_square)]
     protocol: Protocol
     calibration: CalibrationUse | None = None
     warnings: tuple[str, ...] = ()
@@ -250,21 +272,21 @@ class GapReport:
                 is not in [0, 1], an interval does not hold its estimate, the matrix does not fit, or the
                 format is of a later version.
         """
-        top = _Reader(values, where)
-        kind = top.whole("format") if "format" in top else 1
-        if not 1 <= kind <= FORMAT:
-            raise _wrong(top.at("format"), f"a format up to {FORMAT}", kind)
-        report = cls(
-            verdict=_verdict(top.part("verdict")),
-            where=_where(top.part("where")),
-            effects=tuple(_effect(part, kind) for part in top.parts("effects")),
-            alias=_alias(top.part("alias")),
-            protocol=_protocol(top.part("protocol")),
-            calibration=_calibration(top.optional_part("calibration")),
-            warnings=top.texts("warnings") if "warnings" in top else (),
+        if not isinstance(values, dict):
+            raise _wrong(where, "an object", values)
+        kind = values.get("format", 1)
+        if kind not in range(1, FORMAT + 1):
+            raise _wrong(f"{where}: format", f"a format up to {FORMAT}", kind)
+        dropped = _FIRST_FORMAT if kind == 1 else ()
+        present = json.loads(
+            json.dumps(values), object_hook=lambda part: {k: v for k, v in part.items() if k not in dropped}
         )
-        top.done()
-        return report
+        present.pop("format", None)
+        try:
+            # As text, in which a list may be a tuple although nothing is converted.
+            return _adapter().validate_json(json.dumps(present))
+        except ValidationError as error:
+            raise _mistake(error, where) from error
 
     def write(self, path: Path) -> Path:
         """Write the file atomically; returns the path."""
@@ -289,228 +311,48 @@ class GapReport:
         return cls.from_json(values, str(path))
 
 
-class _Reader:
-    """One JSON object: gives its values, checked, and notices what nobody asked for."""
-
-    def __init__(self, values: Any, where: str) -> None:
-        if not isinstance(values, Mapping):
-            raise _wrong(where, "an object", values)
-        self._values = dict(values)
-        self._where = where
-        self._known: set[str] = set()
-
-    def take(self, key: str, *, optional: bool = False) -> Any:
-        self._known.add(key)
-        if key not in self._values and not optional:
-            raise InputError(
-                f"Key '{key}' is missing",
-                where=self._where,
-                expected=f"'{key}'",
-                got=f"keys {', '.join(self._values) or 'none'}",
-            )
-        return self._values.get(key)
-
-    def __contains__(self, key: str) -> bool:
-        return key in self._values
-
-    def at(self, key: str) -> str:
-        return f"{self._where}: {key}"
-
-    def part(self, key: str) -> _Reader:
-        return _Reader(self.take(key), self.at(key))
-
-    def optional_part(self, key: str) -> _Reader | None:
-        value = self.take(key, optional=True)
-        return None if value is None else _Reader(value, self.at(key))
-
-    def parts(self, key: str) -> list[_Reader]:
-        return [_Reader(v, f"{self.at(key)}[{i}]") for i, v in enumerate(self._list(key))]
-
-    def text(self, key: str) -> str:
-        value = self.take(key)
-        if not isinstance(value, str):
-            raise _wrong(self.at(key), "a text", value)
-        return value
-
-    def optional_text(self, key: str) -> str | None:
-        return None if self.take(key, optional=True) is None else self.text(key)
-
-    def number(self, key: str) -> float:
-        return _number(self.take(key), self.at(key))
-
-    def optional_number(self, key: str) -> float | None:
-        return None if self.take(key, optional=True) is None else self.number(key)
-
-    def probability(self, key: str) -> float:
-        value = self.number(key)
-        if not 0 <= value <= 1:
-            raise _wrong(self.at(key), "a probability in [0, 1]", value)
-        return value
-
-    def texts(self, key: str) -> tuple[str, ...]:
-        values = self._list(key)
-        if not all(isinstance(v, str) for v in values):
-            raise _wrong(self.at(key), "a list of texts", values)
-        return tuple(values)
-
-    def numbers(self, key: str) -> tuple[float, ...]:
-        return tuple(_number(v, self.at(key)) for v in self._list(key))
-
-    def whole_numbers(self, key: str) -> tuple[int, ...]:
-        return tuple(_whole(v, self.at(key)) for v in self._list(key))
-
-    def whole(self, key: str) -> int:
-        return _whole(self.take(key), self.at(key))
-
-    def table(self, key: str, item: Callable[[Any, str], Any]) -> dict[str, Any]:
-        value = self.take(key)
-        if not isinstance(value, Mapping):
-            raise _wrong(self.at(key), "an object", value)
-        return {str(k): item(v, f"{self.at(key)}.{k}") for k, v in value.items()}
-
-    def done(self) -> None:
-        unknown = sorted(set(self._values) - self._known)
-        if unknown:
-            raise InputError(
-                "Unknown keys",
-                where=self._where,
-                expected=", ".join(sorted(self._known)),
-                got=", ".join(unknown),
-            )
-
-    def _list(self, key: str) -> list[Any]:
-        value = self.take(key)
-        if not isinstance(value, list):
-            raise _wrong(self.at(key), "a list", value)
-        return value
+@cache
+def _adapter() -> TypeAdapter[GapReport]:
+    return TypeAdapter(GapReport)
 
 
-def _verdict(part: _Reader) -> Verdict:
-    verdict = Verdict(
-        effect=part.text("effect"),
-        candidates=part.texts("candidates"),
-        stage=part.text("stage"),
-        probability=part.probability("probability"),
-        reason=part.text("reason"),
-        next_recording=part.text("next_recording"),
-        also=part.optional_text("also"),
-    )
-    part.done()
-    return verdict
+_FIRST_FORMAT = ("gap", "oracle")
+"""Keys that only the first format had."""
+_PARTS = {
+    "verdict": Verdict,
+    "where": Where,
+    "effects": EffectReport,
+    "parameters": Estimate,
+    "shrink": Shrink,
+    "alias": Alias,
+    "protocol": Protocol,
+    "calibration": CalibrationUse,
+}
+"""What stands below a key."""
 
 
-def _where(part: _Reader) -> Where:
-    where = Where(
-        stages=part.table("stages", _number),
-        frames=part.numbers("frames"),
-        vertices=part.optional_text("vertices"),
-        regimes=part.table("regimes", _number),
-    )
-    part.done()
-    return where
+def _mistake(error: ValidationError, where: str) -> InputError:
+    """The first thing that is wrong."""
+    first = error.errors(include_url=False)[0]
+    *parents, last = location = first["loc"] or ("",)
+    if first["type"] == "missing":
+        got = f"keys {', '.join(first['input']) or 'none'}"
+        return InputError(
+            f"Key '{last}' is missing", where=_at(where, parents), expected=f"'{last}'", got=got
+        )
+    if first["type"] == "unexpected_keyword_argument":
+        part = next((_PARTS[k] for k in reversed(parents) if k in _PARTS), GapReport)
+        known = ", ".join(sorted(f.name for f in fields(part)))
+        return InputError("Unknown key", where=_at(where, parents), expected=known, got=str(last))
+    expected = first["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
+    return _wrong(_at(where, location), expected, first["input"])
 
 
-def _effect(part: _Reader, kind: int) -> EffectReport:
-    shrink = part.optional_part("shrink")
-    if kind == 1:
-        part.take("gap", optional=True)
-    effect = EffectReport(
-        name=part.text("name"),
-        stage=part.text("stage"),
-        probability=part.probability("probability"),
-        parameters=part.table("parameters", lambda value, where: _estimate(_Reader(value, where))),
-        shrink=None if shrink is None else _shrink(shrink, kind),
-    )
-    part.done()
-    return effect
-
-
-def _estimate(part: _Reader) -> Estimate:
-    estimate = Estimate(part.number("estimate"), part.number("low"), part.number("high"), part.text("unit"))
-    part.done()
-    _check_interval(part.at("estimate"), estimate.low, estimate.estimate, estimate.high)
-    return estimate
-
-
-def _shrink(part: _Reader, kind: int) -> Shrink:
-    if kind == 1:
-        part.take("oracle", optional=True)
-    shrink = Shrink(
-        metric=part.text("metric"),
-        held_out=part.text("held_out"),
-        base=part.number("base"),
-        with_effect=part.number("with_effect"),
-        estimate=part.number("estimate"),
-        low=part.number("low"),
-        high=part.number("high"),
-        best_placebo=part.optional_number("best_placebo"),
-    )
-    part.done()
-    _check_interval(part.at("estimate"), shrink.low, shrink.estimate, shrink.high)
-    return shrink
-
-
-def _alias(part: _Reader) -> Alias:
-    names = part.texts("names")
-    rows = part.take("matrix")
-    limits = part.table(
-        "detection_limits", lambda value, where: None if value is None else _number(value, where)
-    )
-    part.done()
-    square = isinstance(rows, list) and len(rows) == len(names)
-    if not square or not all(isinstance(row, list) and len(row) == len(names) for row in rows):
-        raise _wrong(part.at("matrix"), f"{len(names)} rows of {len(names)} numbers, as names says", rows)
-    matrix = tuple(tuple(_number(v, part.at("matrix")) for v in row) for row in rows)
-    return Alias(names, matrix, limits)
-
-
-def _protocol(part: _Reader) -> Protocol:
-    protocol = Protocol(
-        seed=part.whole("seed"),
-        frames_used=part.whole_numbers("frames_used"),
-        frames_held_out=part.whole_numbers("frames_held_out"),
-        version=part.text("version"),
-        naive=part.optional_text("naive") or "",
-    )
-    part.done()
-    return protocol
-
-
-def _calibration(part: _Reader | None) -> CalibrationUse | None:
-    if part is None:
-        return None
-    calibrated = part.take("calibrated")
-    if not isinstance(calibrated, bool):
-        raise _wrong(part.at("calibrated"), "true or false", calibrated)
-    use = CalibrationUse(
-        calibrated=calibrated,
-        file=part.text("file"),
-        settings=part.text("settings"),
-        made_for=part.text("made_for"),
-        differences=part.texts("differences"),
-    )
-    part.done()
-    return use
-
-
-def _check_interval(where: str, low: float, estimate: float, high: float) -> None:
-    if not low <= estimate <= high:
-        raise _wrong(where, "a number between low and high", f"{low}, {estimate}, {high}")
-
-
-def _number(value: Any, where: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise _wrong(where, "a finite number", value)
-    return float(value)
-
-
-def _whole(value: Any, where: str) -> int:
-    if isinstance(value, bool) or not isinstance(value, int):
-        raise _wrong(where, "a whole number", value)
-    return value
+def _at(where: str, location: Sequence[str | int]) -> str:
+    return f"{where}: {place(location)}" if place(location) else where
 
 
 def _wrong(where: str, expected: str, got: object) -> InputError:
     return InputError(
-        "The diagnosis cannot be understood", where=where, expected=expected, got=str(got)[:100]
+        "The diagnosis cannot be understood", where=where, expected=expected, got=repr(got)[:100]
     )

@@ -3,8 +3,8 @@
 Around the base fit an effect is judged as if all it did were proportional to its strength, and stiffness,
 wind, starts and forces answered it in proportion. A frame rate or a stiffness that varies then takes up what
 the base model cannot do otherwise, and an anisotropy of a factor of five looks worse than it is. Here the
-clip is simulated with each candidate, its numbers and all else are moved to where they suit one another, and
-the evidence is that of a Gaussian around that place (Laplace's approximation at the hypothesis' own mode,
+clip is simulated with each candidate, its coefficients and all else are moved to where they suit one another,
+and the evidence is that of a Gaussian around that place (Laplace's approximation at the hypothesis' own mode,
 MacKay 1992).
 """
 
@@ -60,13 +60,13 @@ class Refit:
     """A hypothesis at its best fit.
 
     Attributes:
-        effects: in the model with their numbers, one or none. None as well where no step with the effect
+        effects: in the model with their coefficients, one or none. None as well where no step with the effect
             lowered the cost: its linearised score is not there.
         base: stiffness and wind.
         windows: simulated.
         gained: log evidence beyond that of the base model after as many passes.
         image_cost: negative log-likelihood of the fitted frames, up to a constant.
-        mean, covariance: of the effect's numbers in prior deviations (n,), (n, n).
+        mean, covariance: of the effect's coefficients in prior deviations (n,), (n, n).
     """
 
     effects: tuple[Effect, ...]
@@ -97,11 +97,11 @@ class Race:
 
 @dataclass(frozen=True)
 class _Moved:
-    """Windows, base values and numbers of the effect after a pass, what was gained, with which damping."""
+    """Windows, base values and the effect's coefficients after a pass, what was gained, the damping."""
 
     windows: list[WindowMotion]
     values: Array
-    numbers: Array
+    coefficients: Array
     effects: tuple[Effect, ...]
     gained: float
     damping: float
@@ -156,7 +156,7 @@ class _Place:
     Attributes:
         windows: simulated.
         values: of the base (5,).
-        numbers: of the effect in prior deviations (n,).
+        coefficients: of the effect in prior deviations (n,).
         effects: in the simulator.
         systems: around there.
         best: posterior around there.
@@ -169,7 +169,7 @@ class _Place:
 
     windows: list[WindowMotion]
     values: Array
-    numbers: Array
+    coefficients: Array
     effects: tuple[Effect, ...]
     systems: list[WindowSystem]
     best: Posterior
@@ -185,7 +185,7 @@ class Refitting:
     Args:
         mechanics: converged, see there.
         effect: of the catalogue; None for the base model itself.
-        columns: numbers of the effect that are free, the others stay zero.
+        free: coefficients of the effect that are; the others stay zero.
         usual: discrepancy of a right model; the hypothesis has to do with it.
         settings: see RefitSettings.
     """
@@ -194,18 +194,18 @@ class Refitting:
         self,
         mechanics: Mechanics,
         effect: Effect | None,
-        columns: Sequence[int],
+        free: Sequence[int],
         usual: Discrepancy,
         settings: RefitSettings = DEFAULT,
     ) -> None:
         first = mechanics.evidence
         n_base = first.n_base
         n = 0 if effect is None else len(effect.scales)
-        a = 0 if effect is None else n_base + mechanics.columns[effect.NAME][0]
+        a = 0 if effect is None else n_base + mechanics.coefficients[effect.NAME][0]
         systems = [s.with_shared([*range(n_base), *range(a, a + n)]) for s in first.systems]
         self._mechanics, self._effect, self._usual = mechanics, effect, usual
         self._settings = settings
-        self._free = [n_base + c for c in columns]
+        self._free = [n_base + c for c in free]
         self._place = self._judged(mechanics.fit.windows, mechanics.fit.values, np.zeros(n), (), systems, ())
 
     @property
@@ -220,21 +220,21 @@ class Refitting:
             return place
         moved = _step(
             mechanics,
-            self._evidence(place.systems, place.values, place.numbers),
+            self._evidence(place.systems, place.values, place.coefficients),
             place.best,
             self._effect,
             place.windows,
-            place.numbers,
+            place.coefficients,
             place.damping,
             self._settings,
         )
         if moved is None:
             return replace(place, is_done=True)
         around = replace(fit, windows=moved.windows, values=moved.values)
-        n = len(moved.numbers)
+        n = len(moved.coefficients)
         systems = effect_systems(mechanics.shooting, around, moved.effects, mechanics.around, None, n)
         found = self._judged(
-            moved.windows, moved.values, moved.numbers, moved.effects, systems, place.log_evidences
+            moved.windows, moved.values, moved.coefficients, moved.effects, systems, place.log_evidences
         )
         # The first pass may lead through places that are worse.
         little = abs(found.log_evidences[-1] - found.log_evidences[-2]) < self._settings.converged
@@ -249,9 +249,9 @@ class Refitting:
     def result(self, base_model: Refitting) -> Refit:
         """Where it is, beside the base model."""
         place = self._place
-        n, n_base = len(place.numbers), self._mechanics.evidence.n_base
+        n, n_base = len(place.coefficients), self._mechanics.evidence.n_base
         mean, covariance = np.zeros(n), np.zeros((n, n))
-        at = [c - n_base for c in place.best.columns]
+        at = [c - n_base for c in place.best.free]
         mean[at] = place.best.mean
         covariance[np.ix_(at, at)] = place.best.covariance
         base = base_of(self._mechanics.fit.start_stiffness, place.values)
@@ -269,37 +269,37 @@ class Refitting:
     def evidence(self) -> Evidence:
         """Of hypotheses around where it is."""
         place = self._place
-        return self._evidence(place.systems, place.values, place.numbers)
+        return self._evidence(place.systems, place.values, place.coefficients)
 
-    def _evidence(self, systems: list[WindowSystem], values: Array, numbers: Array) -> Evidence:
+    def _evidence(self, systems: list[WindowSystem], values: Array, coefficients: Array) -> Evidence:
         first = self._mechanics.evidence
-        return Evidence(systems, values, first.deviations, first.settings, numbers, like=first)
+        return Evidence(systems, values, first.deviations, first.settings, coefficients, like=first)
 
     def _judged(
         self,
         windows: list[WindowMotion],
         values: Array,
-        numbers: Array,
+        coefficients: Array,
         effects: tuple[Effect, ...],
         systems: list[WindowSystem],
         before: tuple[float, ...],
     ) -> _Place:
-        best = self._evidence(systems, values, numbers).scaled(self._free, self._usual)
+        best = self._evidence(systems, values, coefficients).scaled(self._free, self._usual)
         image_cost = sum(map(self._mechanics.shooting.image_cost, windows))
         after = (*before, best.log_evidence - image_cost)
-        return _Place(windows, values, numbers, effects, systems, best, image_cost, after)
+        return _Place(windows, values, coefficients, effects, systems, best, image_cost, after)
 
 
-def within_bounds(effect: Effect, numbers: Array) -> Array:
-    """An effect's numbers (n,) in prior deviations, none beyond its bounds."""
+def within_bounds(effect: Effect, coefficients: Array) -> Array:
+    """An effect's coefficients (n,) in prior deviations, none beyond its bounds."""
     low = np.array([p.low / p.scale for p in effect.parameters])
     high = np.array([p.high / p.scale for p in effect.parameters])
-    return numbers.clip(low, high)
+    return coefficients.clip(low, high)
 
 
-def acting_with(effect: Effect, numbers: Array) -> Effect:
-    """The effect with numbers (n,) in prior deviations."""
-    return effect.with_values(torch.from_numpy(numbers) * effect.scales)
+def acting_with(effect: Effect, coefficients: Array) -> Effect:
+    """The effect with coefficients (n,) in prior deviations."""
+    return effect.with_values(torch.from_numpy(coefficients) * effect.scales)
 
 
 def refits(
@@ -316,7 +316,7 @@ def refits(
 
     Args:
         mechanics: converged, see there.
-        best_scoring: numbers of each effect that are free, the best-scoring effect first.
+        best_scoring: coefficients of each effect that are free, the best-scoring effect first.
         penalties: taken from the log evidence of each.
         usual: discrepancy of a right model.
         tried: effects that have a first pass, a second one, and so on.
@@ -327,8 +327,8 @@ def refits(
     total, done = sum(tried) + len(tried), 0
     base = Refitting(mechanics, None, (), usual, settings)
     models = {
-        name: Refitting(mechanics, mechanics.effects[name], columns, usual, settings)
-        for name, columns in list(best_scoring.items())[: max(tried, default=0)]
+        name: Refitting(mechanics, mechanics.effects[name], free, usual, settings)
+        for name, free in list(best_scoring.items())[: max(tried, default=0)]
     }
     running = list(models)
     for count in tried:
@@ -353,7 +353,7 @@ def _step(
     best: Posterior,
     effect: Effect | None,
     windows: list[WindowMotion],
-    numbers: Array,
+    coefficients: Array,
     damping: float,
     settings: RefitSettings,
     workers: Workers = ALONE,
@@ -362,14 +362,14 @@ def _step(
     shooting, start = mechanics.shooting, mechanics.fit.start_stiffness
     damped = shooting.settings.damping
     longest = np.array([shooting.settings.longest_stiffness] * 3 + [settings.longest_wind] * 2)
-    at = [c - evidence.n_base for c in best.columns]
+    at = [c - evidence.n_base for c in best.free]
 
     def cost(moved: list[WindowMotion], base: Array, own: Array) -> float:
         prior = (base / evidence.deviations) ** 2
         images = shooting.clip_cost(moved, best.discrepancy)
         return images + 0.5 * float(prior.sum() + ((own[at] / best.prior_inflation) ** 2).sum())
 
-    before = cost(windows, evidence.values, numbers)
+    before = cost(windows, evidence.values, coefficients)
     seen = np.array([shooting.image_cost(window) for window in windows])
     frozen: NDArray[np.bool_] | None = None
     for _ in range(2):
@@ -377,9 +377,9 @@ def _step(
         tried = damping
         for _ in range(damped.tried):
             values, own, changes = evidence.towards(
-                best.columns, best.discrepancy, tried, longest, frozen, best.prior_inflation
+                best.free, best.discrepancy, tried, longest, frozen, best.prior_inflation
             )
-            trial = numbers.copy()
+            trial = coefficients.copy()
             trial[at] = own
             acting: tuple[Effect, ...] = ()
             if effect is not None:

@@ -1,8 +1,8 @@
 """Change of a whole motion for hundreds of forces at once.
 
 Around a motion that is already known, the equations of all sub-steps are linear in the forces. Their Hessians
-are assembled and factorised once, and every column of forces runs through them in one sweep over time, as
-dense blocks: five hundred columns cost about as much as the fit of one.
+are assembled and factorised once, and the forces of every unknown run through them in one sweep over time, as
+dense blocks: five hundred unknowns cost about as much as the fit of one.
 """
 
 from __future__ import annotations
@@ -71,11 +71,11 @@ class StepForces:
 
 
 @dataclass(frozen=True)
-class Columns:
-    """Right-hand sides of one sub-step.
+class LoadSensitivities:
+    """Derivatives of what drives one sub-step by R unknowns: right-hand sides of the tangent equations.
 
     Attributes:
-        forces: (n_active, N, 3) [N]; columns beyond are still zero.
+        forces: (n_active, N, 3) [N]; those of the unknowns beyond are still zero.
         boundary: displacement of the pinned vertices at its end (n_active, n_pinned, 3) [m].
     """
 
@@ -238,11 +238,11 @@ class KnownMotion:
         first: int,
         last: int,
         substeps: int,
-        columns: Callable[[StepForces], Columns],
+        loads: Callable[[StepForces], LoadSensitivities],
         start: Array,
         velocities: Array,
     ) -> Iterator[tuple[Single, Single]]:
-        """Change of the frames first + 1 ... last for every column, vertices' own order.
+        """Change of the frames first + 1 ... last for every unknown, vertices' own order.
 
         Positions (3N, R) [m] and velocities [m/s] of each.
 
@@ -250,7 +250,7 @@ class KnownMotion:
             first: frame whose state changes as ``start`` and ``velocities`` say.
             last: frame.
             substeps: sub-steps per frame.
-            columns: right-hand sides of a sub-step; the number of active ones never falls.
+            loads: right-hand sides of a sub-step; the number of active ones never falls.
             start: change of the positions at ``first`` (R, N, 3) [m].
             velocities: of the velocities there (R, N, 3) [m/s].
         """
@@ -268,7 +268,7 @@ class KnownMotion:
             weights, inertia = self.coefficients(n)
             step = self.step(n)
             factor, coupling = self._factor(step.positions, inertia)
-            right = columns(step)
+            right = loads(step)
             m = len(right.forces)
             b = right.forces.reshape(m, -1).T.astype(np.float32)
             mass = np.repeat(inertia, 3)[:, None].astype(np.float32)

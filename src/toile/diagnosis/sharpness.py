@@ -125,7 +125,7 @@ class ExposureFit:
 
     Attributes:
         log_evidence: against sharp frames.
-        mean, covariance: of the effect's number in units of its prior deviation, (1,), (1, 1).
+        mean, covariance: of the effect's coefficient in units of its prior deviation, (1,), (1, 1).
     """
 
     log_evidence: float

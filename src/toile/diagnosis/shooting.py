@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from toile.diagnosis.continuity import Discrepancy
 from toile.diagnosis.damping import Damping
 from toile.diagnosis.force_modes import TOLERANCE, external_first, n_balanced
-from toile.diagnosis.sensitivities import Columns, KnownMotion, StepForces, TangentSettings
+from toile.diagnosis.sensitivities import KnownMotion, LoadSensitivities, StepForces, TangentSettings
 from toile.diagnosis.template_tension import RIDGE, TemplateTension
 from toile.diagnosis.tracked import Tracked
 from toile.effects.base import Effect, Surroundings
@@ -238,7 +238,7 @@ class Shooting:
         return self._force_fields[first, last]
 
     def deviations(self, n_frames: int, force: float, external: float) -> Array:
-        """Prior standard deviations of the local unknowns' columns."""
+        """Prior standard deviations of the local unknowns."""
         boundary, forces, total = self.layout(n_frames)
         out = np.empty(total)
         out[: self.n_fields] = self.settings.start_position
@@ -405,7 +405,7 @@ class Shooting:
         Args:
             window: simulated.
             base: with which it was.
-            shared: force columns (n, N, 3) of a sub-step, the first n of the shared ones.
+            shared: force sensitivities (n, N, 3) of a sub-step, the first n of the shared ones.
             seen: apparent displacements (m, N, 3) [m] in a frame at given positions, the last m of them.
             n_shared: n + m.
             simulator: with which it was, if not with that of the base model.
@@ -441,10 +441,10 @@ class Shooting:
             self.settings.tangents,
         )
 
-        def columns(step: StepForces) -> Columns:
+        def loads(step: StepForces) -> LoadSensitivities:
             f = np.zeros((R, N, 3))
-            columns_now = shared(step)
-            f[: len(columns_now)] = columns_now
+            of_shared = shared(step)
+            f[: len(of_shared)] = of_shared
             displaced = np.zeros((R, self.n_pinned, 3))
             for q in np.flatnonzero(boundary_hats[step.index]):
                 o = n_shared + oa + q * self.n_pinned * 3
@@ -452,13 +452,13 @@ class Shooting:
             for q in np.flatnonzero(force_hats[step.index]):
                 o = n_shared + of + q * self.n_fields
                 f[o : o + self.n_fields] = force_hats[step.index, q] * weighted[q]
-            return Columns(f, displaced)
+            return LoadSensitivities(f, displaced)
 
         G, g = np.zeros((R, R)), np.zeros(R)
         frames = window.positions[::sub]
         first = tuple(a.reshape(R, -1).T.astype(np.float32) for a in (start, speed))
         end = first
-        for i, end in enumerate(chain([first], motion.tangents(0, n, sub, columns, start, speed))):
+        for i, end in enumerate(chain([first], motion.tangents(0, n, sub, loads, start, speed))):
             moved = end[0]
             f = window.first + i
             apparent = seen(f, frames[i])

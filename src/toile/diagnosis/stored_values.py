@@ -50,7 +50,7 @@ class ValueStore:
 
     Args:
         kinds: dataclasses (and named tuples) that may occur.
-        effects: that may occur, with whatever numbers; they are stored by name and numbers.
+        effects: that may occur, with whatever coefficients; they are stored by name and values.
     """
 
     def __init__(self, kinds: Iterable[type], effects: Iterable[Effect] = ()) -> None:

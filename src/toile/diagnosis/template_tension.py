@@ -86,7 +86,7 @@ def template_tension(
     # Columns of similar size: the others are penalised for nothing.
     beside /= np.maximum(np.linalg.norm(beside, axis=(0, 1)), 1e-300)
     system = np.concatenate((pulls, beside), -1)[free].reshape(-1, n + beside.shape[-1])
-    charged = np.eye(n, system.shape[1]) * ridge
+    penalty = np.eye(n, system.shape[1]) * ridge
     weight = -(masses[:, None] * gravity)[free].reshape(-1)
-    found, _ = nnls(np.concatenate((system, charged)), np.concatenate((weight, np.zeros(n))))
+    found, _ = nnls(np.concatenate((system, penalty)), np.concatenate((weight, np.zeros(n))))
     return TemplateTension(np.asarray(found[:n], np.float64))

@@ -19,10 +19,8 @@ from toile.reconstruction.gauss_newton.recipe import (
     TrackingRecipe,
     TrackingStage,
     Windows,
-    visible,
 )
-from toile.reconstruction.image_terms.image_features import contrast_features
-from toile.reconstruction.image_terms.texture_points import PointTermSettings, TexturePointTerm, grid_points
+from toile.reconstruction.image_terms.texture_points import PointTermSettings, TexturePointTerm, visible
 from toile.reconstruction.lost_cloth import LEAST, first_lost, outline_overlap
 from toile.reconstruction.problem import Reconstruction
 
@@ -210,14 +208,8 @@ def tracked_motion(
 
     The noise of the features is what is left of them at the tracked positions.
     """
-    scene = reconstruction.scene
-    scales = settings.blur, settings.neighbourhood
-    features = contrast_features(scene.frames, scene.masks, *scales)
-    reference = contrast_features(settings.reference(reconstruction)[None], scene.masks[:1], *scales)[0]
-    points = grid_points(scene.grid, settings.per_side, 1.0, seed)
-    term = TexturePointTerm(
-        features, reference, scene.camera, points, reconstruction.template.numpy(), settings
-    )
+    term = TexturePointTerm.of(reconstruction, settings, seed)
+    points = term.points
     seen = visible(reconstruction, points, positions)
     value = term.evaluate(positions, 0, seen, derivatives=True)
     # ½ Σ w |r|² / δ² over three channels is the number of points times 3/2 σ² / δ².

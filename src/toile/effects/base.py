@@ -1,7 +1,7 @@
-"""What an effect is: a few named numbers and exactly one hook through which they act.
+"""What an effect is: a few named parameters and exactly one hook through which they act.
 
 Generator, fit and diagnosis use the same interface. An effect is immutable; ``with_values`` gives the same
-effect with other numbers. At ``values = 0`` of its strengths it is the identity, bit for bit: hooks return
+effect with other values. At ``values = 0`` of its strengths it is the identity, bit for bit: hooks return
 their argument itself.
 """
 
@@ -36,7 +36,7 @@ class Stage(Enum):
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of an effect.
+    """One parameter of an effect.
 
     Attributes:
         name: unique within the effect.
@@ -101,7 +101,7 @@ class Effect(ABC):
         return self.PARAMETERS
 
     def with_values(self, values: Tensor) -> Self:
-        """The same effect with other numbers (n_parameters,), which may require gradients."""
+        """The same effect with other values (n_parameters,), which may require gradients."""
         if values.shape != (len(self.parameters),):
             raise ValueError(f"values: expected ({len(self.parameters)},), got {tuple(values.shape)}")
         other = copy.copy(self)

@@ -18,6 +18,12 @@ _SHORTEST_SHARE = 0.05
 then wrong by a tenth of themselves in the worst case, where both ends are off in opposite directions."""
 
 
+def fewest_substeps(duration: float, longest: float) -> int:
+    """As few sub-steps of a duration [s] as keep each within the longest one [s]; at least one."""
+    # Rounding must not turn 0.02 s / 0.01 s into three sub-steps.
+    return max(1, ceil(duration / longest * (1 - 1e-9)))
+
+
 @dataclass(frozen=True)
 class FrameSteps:
     """Sub-steps between the frames of a clip, or of a window of it.
@@ -59,7 +65,7 @@ class FrameSteps:
         t = np.asarray(times, dtype=np.float64)
         error = min(largest_error, _SHORTEST_SHARE * float(np.diff(t).min()))
         # With a sub-step of twice the error every time has one within the error, so the search ends.
-        fewest = max(len(t) - 1, ceil(t[-1] / longest * (1 - 1e-9)))
+        fewest = max(len(t) - 1, fewest_substeps(t[-1], longest))
         most = max(fewest, ceil(t[-1] / (2 * error)))
         if most > _MOST:
             raise InputError(

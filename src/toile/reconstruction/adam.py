@@ -39,7 +39,7 @@ class SuccessiveFramesAdam(Recipe):
     | turbulence | network units of force, m L / Δt² | 0.001 |
     | boundary_motion | grid spacings per frame | 0.001 |
     | texture_offset | texture coordinates | 0.0002 |
-    | effects | each number's scale | not there |
+    | effects | each coefficient's scale | not there |
 
     The paper moves the pinned vertices by the turbulence stored at them, read as their velocity. Here they
     have

@@ -1,4 +1,4 @@
-"""Effects of a fit: which numbers inside them are found, and in what bounds."""
+"""Effects of a fit: which of their coefficients are found, and in what bounds."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ STEP_TERMS = (VertexEffect, ElementEffect)
 
 
 class FitEffects(nn.Module):
-    """Effects that act in a fit, as a module whose state is the k numbers that the fit may change.
+    """Effects that act in a fit, as a module whose state is the k coefficients that the fit may change.
 
     Args:
-        effects: with the numbers that the fit starts from.
-        fixed: names of effects whose numbers stay as they are.
+        effects: with the coefficients that the fit starts from.
+        fixed: names of effects whose coefficients stay as they are.
 
     Attributes:
         names: (k) "air_drag linear [1/s]".
@@ -38,7 +38,7 @@ class FitEffects(nn.Module):
         start: (k,) where the fit begins.
         scales: (k,) prior standard deviations around ``start``.
         low, high: (k,) bounds.
-        in_step_terms: (k,) whether a number belongs to a term of the step.
+        in_step_terms: (k,) whether a coefficient belongs to a term of the step.
         change_inertia: whether masses or the time step depend on any of them.
 
     Raises:
@@ -56,8 +56,8 @@ class FitEffects(nn.Module):
         parameters = [(effect, p) for effect in free for p in effect.parameters]
         self.names = tuple(_label(effect, p.name, p.unit) for effect, p in parameters)
         self.start, self.scales, self.low, self.high = (
-            torch.tensor(numbers, dtype=torch.float64)
-            for numbers in (
+            torch.tensor(values, dtype=torch.float64)
+            for values in (
                 [v for effect in free for v in effect.values.tolist()],
                 [p.scale for _, p in parameters],
                 [p.low for _, p in parameters],
@@ -74,16 +74,16 @@ class FitEffects(nn.Module):
         return len(self._effects)
 
     def current(self) -> Tensor:
-        """The numbers that are fitted, as they are now, (k,), without gradients."""
+        """The coefficients that are fitted, as they are now, (k,), without gradients."""
         return torch.zeros(0, dtype=torch.float64) if self.values is None else self.values.detach()
 
     def acting(self, values: Tensor | None = None, *, as_leaves: bool = False) -> tuple[Effect, ...]:
         """All effects, in the given order.
 
         Args:
-            values: numbers (k,) of those that are fitted; None takes ``values``, with gradients where those
-                are enabled.
-            as_leaves: let the numbers of every fitted effect be a tensor of its own that requires
+            values: coefficients (k,) that are fitted; None takes ``values``, with gradients where those are
+                enabled.
+            as_leaves: let the coefficients of every fitted effect be a tensor of its own that requires
                 gradients, as LinearizedRollout wants them.
         """
         if values is None:
@@ -99,8 +99,8 @@ class FitEffects(nn.Module):
             found.append(effect.with_values(own.detach().clone().requires_grad_() if as_leaves else own))
         return tuple(found)
 
-    def numbers(self) -> dict[str, float]:
-        """Numbers of all effects by name and unit, fitted or not."""
+    def coefficients(self) -> dict[str, float]:
+        """Coefficients of all effects by name and unit, fitted or not."""
         with torch.no_grad():
             return {
                 _label(effect, p.name, p.unit): float(v)

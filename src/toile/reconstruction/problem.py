@@ -74,7 +74,7 @@ class Reconstruction:
         """What the whole clip is under the effects; forces are without the turbulence.
 
         Args:
-            effects: with the numbers they have; None takes those of the fit as they are now.
+            effects: with the coefficients they have; None takes those of the fit as they are now.
             boundary_motion: (F, n_pinned, 3) [m]; None takes the parameter.
             wind: (3,) [m/s²]; None takes the parameter.
         """

@@ -30,22 +30,24 @@ Everything is in the OpenCV camera frame (x right, y down, z forward, metres), s
 from __future__ import annotations
 
 import json
-import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import torch
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, TypeAdapter, ValidationError
 from torch import Tensor
 
 from toile.errors import InputError
 from toile.former_names import SCENE_KEYS, renamed
 from toile.geometry.camera import Camera
 from toile.geometry.io import PolygonMesh, read_mesh, write_mesh, write_point_cloud
-from toile.json_file import read_json_object
+from toile.json_file import place, read_json_object
+from toile.limits import Count, CountOrZero, Finite, Positive, TwoOrMore
 from toile.scenes.atomic_folder import folder_written_atomically
 from toile.scenes.findings import Finding, Severity, attempt, has_errors, require
 from toile.scenes.frame_times import check_number_of_frames, check_spacing, check_times, settled
@@ -174,32 +176,29 @@ def survey_native(
     if description is None:
         return None, findings
     path = folder / "scene.json"
-    missing = [key for key in _PARSERS if key not in description]
     findings += [
         Finding(
             Severity.ERROR,
             f"Key '{key}' is missing",
             str(path),
-            f"'{key}': {_PARSERS[key][1]}",
+            f"'{key}': {expected}",
             f"keys {', '.join(description) or 'none'}",
         )
-        for key in missing
+        for key, (_, expected) in _REQUIRED.items()
+        if key not in description
     ]
-    values: dict[str, Any] = {}
-    for key, (parse, expected) in {**_PARSERS, **_OPTIONAL}.items():
-        if key in description:
-            values[key] = attempt(
-                findings,
-                lambda key=key, parse=parse, expected=expected: _parse(  # type: ignore[misc]
-                    path, key, description[key], parse, expected
-                ),
-            )
+    values: dict[str, Any] = {
+        key: attempt(findings, partial(_understood, path, key, description[key]))
+        for key in (*_REQUIRED, *_OPTIONAL)
+        if key in description
+    }
     files = {**FILES, **(values.get("files") or {})}
     grid, size, intrinsics = values.get("grid"), values.get("image_size"), values.get("K")
 
     camera = None
     if size is not None and intrinsics is not None:
-        camera = Camera(intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3], *size)
+        (fx, _, cx), (_, fy, cy), _ = intrinsics
+        camera = Camera(fx, fy, cx, cy, *size)
         findings += check_camera(camera, f"{path}: K")
     if values.get("fps") is not None:
         findings += check_timing(values["fps"], str(path))
@@ -343,110 +342,85 @@ def _read_description(folder: Path) -> dict[str, Any]:
         ) from error
 
 
-def _parse(path: Path, key: str, value: Any, parse: Callable[[Any], Any], expected: str) -> Any:
+def _understood(path: Path, key: str, value: Any) -> Any:
     try:
-        return parse(value)
-    except (ValueError, TypeError, IndexError, KeyError, OverflowError) as error:
+        # As text, in which a list may be a tuple although nothing is converted.
+        return _adapter(key).validate_json(json.dumps(value))
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
         raise InputError(
             f"Key '{key}' cannot be understood",
-            where=f"{path}: {key}",
-            expected=expected,
-            got=f"{str(value)[:100]} ({error})",
+            where=f"{path}: {place((key, *first['loc']))}",
+            expected={**_REQUIRED, **_OPTIONAL}[key][1],
+            got=f"{str(value)[:100]} ({first['msg'].removeprefix('Value error, ')})",
         ) from error
 
 
-def _number(value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError("not a number")
-    return float(value)
+@cache
+def _adapter(key: str) -> TypeAdapter[Any]:
+    return TypeAdapter({**_REQUIRED, **_OPTIONAL}[key][0], config=ConfigDict(strict=True))
 
 
-def _count(value: Any) -> int:
-    if _number(value) != int(value):
-        raise ValueError("not a whole number")
-    return int(value)
-
-
-def _at_least(minimum: int) -> Callable[[Any], int]:
-    def parse(value: Any) -> int:
-        if _count(value) < minimum:
-            raise ValueError(f"less than {minimum}")
-        return int(value)
-
-    return parse
-
-
-def _list_of(item: Callable[[Any], Any], n: int | None = None) -> Callable[[Any], tuple[Any, ...]]:
-    def parse(value: Any) -> tuple[Any, ...]:
-        if not isinstance(value, list) or (n is not None and len(value) != n):
-            raise ValueError("not a list" if n is None else f"not a list of {n}")
-        return tuple(item(v) for v in value)
-
-    return parse
-
-
-def _finite(value: Any) -> float:
-    if not math.isfinite(_number(value)):
-        raise ValueError("not finite")
-    return float(value)
-
-
-def _positive(value: Any) -> float:
-    if _finite(value) <= 0:
-        raise ValueError("not positive")
-    return float(value)
-
-
-def _intrinsics(value: Any) -> tuple[float, float, float, float]:
-    rows = _list_of(_list_of(_finite, 3), 3)(value)
-    (fx, skew, cx), (lower, fy, cy), last = rows
+def _without_skew(K: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
+    (_, skew, _), (lower, _, _), last = K
     if last != (0, 0, 1):
         raise ValueError(
             "the last row is not 0 0 1; K may be transposed" if last[0] or last[1] else "K[2][2] is not 1"
         )
     if skew or lower:
         raise ValueError("skew is not supported")
-    return fx, fy, cx, cy
+    return K
 
 
-def _metres(value: Any) -> str:
-    if not isinstance(value, str) or not any(
-        w.strip(",;.") in ("m", "metres", "meters") for w in value.split()
-    ):
+def _metres(units: str) -> str:
+    if not {"m", "metres", "meters"}.intersection(word.strip(",;.") for word in units.split()):
         raise ValueError(
             "only metres are supported; convert the template, the cloth size and the ground truth"
         )
-    return value
+    return units
 
 
-def _relative_files(value: Any) -> dict[str, str]:
-    if not isinstance(value, dict) or not all(isinstance(v, str) for v in value.values()):
-        raise ValueError("not an object of paths")
+def _relative(files: dict[str, str]) -> dict[str, str]:
     for key in ("rgb", "mask"):
-        if key in value and not _NUMBERED.fullmatch(value[key]):
+        if key in files and not _NUMBERED.fullmatch(files[key]):
             raise ValueError(f"{key} without one %03d")
-    if any("\0" in path or not path for path in value.values()):
+    if any("\0" in path or not path for path in files.values()):
         raise ValueError("not a path")
-    return value
+    return files
 
 
-_PARSERS: dict[str, tuple[Callable[[Any], Any], str]] = {
-    "fps": (_number, "frames per second, a number > 0"),
-    "n_frames": (_at_least(1), "number of frames, a whole number > 0"),
-    "image_size": (_list_of(_at_least(1), 2), "[height, width] in px"),
-    "K": (_intrinsics, "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in px, finite"),
-    "gravity": (_list_of(_finite, 3), "[x, y, z] in m/s², finite"),
-    "cloth_size_m": (_list_of(_positive, 2), "[along axis 0, along axis 1] in m, positive"),
-    "grid": (_list_of(_at_least(2), 2), "[H, W], whole numbers >= 2"),
-    "pinned_vertices": (_list_of(_count), "list of indices i * W + j, may be empty"),
-    "units": (_metres, 'a text with the word "metres"'),
+# A whole number may be written as 25.0.
+_WHOLE = BeforeValidator(lambda v: int(v) if isinstance(v, float) and v.is_integer() else v)
+_Row = tuple[Finite, Finite, Finite]
+_Pixels = tuple[Annotated[Count, _WHOLE], Annotated[Count, _WHOLE]]
+_Sides = tuple[Annotated[TwoOrMore, _WHOLE], Annotated[TwoOrMore, _WHOLE]]
+_Original = tuple[Annotated[CountOrZero, _WHOLE], Annotated[CountOrZero, _WHOLE]]
+_REQUIRED: Mapping[str, tuple[Any, str]] = {
+    "fps": (Finite, "frames per second, a number > 0"),
+    "n_frames": (Annotated[Count, _WHOLE], "number of frames, a whole number > 0"),
+    "image_size": (_Pixels, "[height, width] in px"),
+    "K": (
+        Annotated[tuple[_Row, _Row, _Row], AfterValidator(_without_skew)],
+        "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in px, finite",
+    ),
+    "gravity": (_Row, "[x, y, z] in m/s², finite"),
+    "cloth_size_m": (tuple[Positive, Positive], "[along axis 0, along axis 1] in m, positive"),
+    "grid": (_Sides, "[H, W], whole numbers >= 2"),
+    "pinned_vertices": (
+        tuple[Annotated[int, _WHOLE], ...],
+        "list of indices i * W + j, may be empty",
+    ),
+    "units": (Annotated[str, AfterValidator(_metres)], 'a text with the word "metres"'),
 }
-_OPTIONAL: dict[str, tuple[Callable[[Any], Any], str]] = {
-    "files": (_relative_files, 'paths for "template", "texture", "rgb", "mask", the last two with %03d'),
-    "crop": (_list_of(_count, 2), "[top, left] in px"),
-    "original_size": (_list_of(_at_least(0), 2), "[height, width] in px"),
-    "id": (str, "name of the scene"),
-    "times": (_list_of(_finite), "list of the frames' times in s, increasing, the first 0"),
+_OPTIONAL: Mapping[str, tuple[Any, str]] = {
+    "files": (
+        Annotated[dict[str, str], AfterValidator(_relative)],
+        'paths for "template", "texture", "rgb", "mask", the last two with %03d',
+    ),
+    "crop": (tuple[Annotated[int, _WHOLE], Annotated[int, _WHOLE]], "[top, left] in px"),
+    "original_size": (_Original, "[height, width] in px"),
+    "id": (Annotated[str, BeforeValidator(str)], "name of the scene"),
+    "times": (tuple[Finite, ...], "list of the frames' times in s, increasing, the first 0"),
 }
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from torch import Tensor
@@ -75,3 +75,8 @@ class Scene:
     def grid(self) -> tuple[int, int]:
         """Grid size (H, W)."""
         return int(self.template.shape[0]), int(self.template.shape[1])
+
+    def with_texture_offset(self, offset: Tensor) -> Scene:
+        """The scene with an offset, (H, W, 2) or flattened, added to its texture coordinates."""
+        uv = self.texture_coordinates
+        return replace(self, texture_coordinates=uv + offset.to(uv.dtype).reshape(uv.shape))

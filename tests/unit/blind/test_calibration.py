@@ -12,9 +12,10 @@ import pytest
 
 from toile.blind import calibration
 from toile.blind.calibration import CalibrationSettings, Case
+from toile.diagnosis.arrays import SCREENING_FILE
 from toile.diagnosis.decision import NONE, SHIPPED, UNKNOWN, Calibration, Weights, probabilities
-from toile.diagnosis.diagnose import SCREENING_FILE, DiagnosisSettings
 from toile.diagnosis.made_with import MADE_WITH_FILE, MadeWith
+from toile.diagnosis.settings import DiagnosisSettings
 from toile.errors import InputError
 
 SCENES = Path(__file__).parents[3] / "docs/results/calibration_scenes.csv"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from toile.diagnosis.base_fit import base_columns, base_of, nothing_seen, window_systems
+from toile.diagnosis.base_fit import base_of, base_sensitivities, nothing_seen, window_systems
 from toile.diagnosis.continuity import Discrepancy, Joined, Link, WindowSystem
 from toile.diagnosis.shooting import Shooting, ShootingSettings, WindowMotion
 from toile.diagnosis.tracked import Tracked
@@ -39,7 +39,7 @@ def systems(seed: int, n: int = 3) -> list[WindowSystem]:
 
 
 def whole(all_systems: list[WindowSystem]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Matrix, gradient, and deviations of the local columns, of [shared | all windows], priors among them."""
+    """Matrix, gradient, deviations of the local unknowns, of [shared | all windows], priors among them."""
     total = N_SHARED + N_LOCAL * len(all_systems)
     scale = np.where(INTERNAL, SIZE.internal, np.where(EXTERNAL, SIZE.external, 1.0))
     fitted = np.where(INTERNAL, FITTED.internal, np.where(EXTERNAL, FITTED.external, 1.0))
@@ -145,8 +145,8 @@ def test_the_end_of_a_window_moves_as_its_derivative_says() -> None:
         base_of(stiffness, np.zeros(5)),
     )
     base = base_of(stiffness, np.zeros(5))
-    columns = [base_columns(shooting, base)] * 2
-    link = window_systems(shooting, [first, second], base, columns, nothing_seen, 5)[1].link
+    sensitivities = [base_sensitivities(shooting, base)] * 2
+    link = window_systems(shooting, [first, second], base, sensitivities, nothing_seen, 5)[1].link
     assert link is not None
     np.testing.assert_allclose(link.jump, 0, atol=1e-9)
     small = 1e-3

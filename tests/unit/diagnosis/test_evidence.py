@@ -30,8 +30,8 @@ def problem(seed: int, true: float):
     return systems, jacobians, data
 
 
-@pytest.mark.parametrize("columns", [(), (0,), (0, 1)])
-def test_differences_are_those_of_the_marginal_likelihood(columns: tuple[int, ...]) -> None:
+@pytest.mark.parametrize("free", [(), (0,), (0, 1)])
+def test_differences_are_those_of_the_marginal_likelihood(free: tuple[int, ...]) -> None:
     systems, jacobians, data = problem(0, 0.5)
     deviations = np.array([1.0, 2.0])
     evidence = Evidence(systems, np.zeros(2), deviations, EvidenceSettings(prior_inflation=1.5))
@@ -49,8 +49,8 @@ def test_differences_are_those_of_the_marginal_likelihood(columns: tuple[int, ..
             covariance[at, at] += local @ local.T
         return float(multivariate_normal(np.zeros(len(y)), covariance).logpdf(y))
 
-    found = evidence._at([2 + c for c in columns], SIZE).log_evidence - evidence._at((), SIZE).log_evidence
-    assert found == pytest.approx(exact(columns) - exact(()), abs=1e-6)
+    found = evidence._at([2 + c for c in free], SIZE).log_evidence - evidence._at((), SIZE).log_evidence
+    assert found == pytest.approx(exact(free) - exact(()), abs=1e-6)
 
 
 def test_the_true_effect_wins_and_is_measured() -> None:
@@ -125,8 +125,8 @@ def test_determinants_of_the_local_unknowns_may_come_from_elsewhere() -> None:
     usual = Evidence(systems, np.zeros(2), np.ones(2))
     own = Evidence(steep, np.zeros(2), np.ones(2))
     like = Evidence(steep, np.zeros(2), np.ones(2), like=usual)
-    for columns in ((), (2,)):
-        a, b = own._at(columns, SIZE), like._at(columns, SIZE)
+    for free in ((), (2,)):
+        a, b = own._at(free, SIZE), like._at(free, SIZE)
         np.testing.assert_allclose(b.mean, a.mean)
         shift = own.reduced(SIZE).determinant - usual.reduced(SIZE).determinant
         assert shift > 1
@@ -138,7 +138,7 @@ def test_all_the_way_to_the_mean_nothing_costs_less() -> None:
     systems, _, _ = problem(3, 0.5)
     evidence = Evidence(systems, np.zeros(2), np.ones(2))
     best = evidence.posterior((2,))
-    values, numbers, changes = evidence.towards(best.columns, best.discrepancy, 0.0, np.full(2, np.inf))
+    values, coefficients, changes = evidence.towards(best.free, best.discrepancy, 0.0, np.full(2, np.inf))
 
     def cost(base: np.ndarray, own: np.ndarray, local: list[np.ndarray]) -> float:
         total = 0.5 * float(base @ base) + 0.5 * float(own @ own) / best.prior_inflation**2
@@ -149,12 +149,12 @@ def test_all_the_way_to_the_mean_nothing_costs_less() -> None:
             total += 0.5 * float(standardised @ standardised)
         return total
 
-    least = cost(values, numbers, changes)
+    least = cost(values, coefficients, changes)
     rng = np.random.default_rng(0)
     for _ in range(20):
         moved = [c + 1e-2 * rng.normal(size=c.shape) for c in changes]
         base = values + 1e-2 * rng.normal(size=2)
-        assert cost(base, numbers + 1e-2 * rng.normal(size=1), moved) > least
+        assert cost(base, coefficients + 1e-2 * rng.normal(size=1), moved) > least
     # With damping it goes part of the way: less the more of it, and downhill all the same.
     before = cost(np.zeros(2), np.zeros(1), [np.zeros_like(c) for c in changes])
     costs = [
@@ -179,20 +179,20 @@ def test_many_small_numbers_are_found_at_their_own_scale() -> None:
             y = J[:, 2 : 2 + n] @ true + rng.normal(size=60)
             systems.append(WindowSystem(J.T @ J, -J.T @ y, np.zeros(5), INTERNAL, EXTERNAL, SIZE))
         evidence = Evidence(systems, np.zeros(2), np.ones(2))
-        columns = tuple(range(2, 2 + n))
+        free = tuple(range(2, 2 + n))
         base = evidence.posterior(()).log_evidence
-        scanned = evidence.signed(columns, np.full(n, -np.inf)).log_evidence - base
-        found[size] = scanned, evidence.posterior(columns).log_evidence - base
+        scanned = evidence.signed(free, np.full(n, -np.inf)).log_evidence - base
+        found[size] = scanned, evidence.posterior(free).log_evidence - base
     assert found[0.0][0] < 0
     assert found[0.05][1] < 0 < found[0.05][0] - 3
 
 
 def test_evidence_does_not_depend_on_where_a_quadratic_is_developed() -> None:
-    """Around other base values, numbers of the effect and local unknowns, with their cost beside."""
+    """Around other base values, coefficients of the effect and local unknowns, with their cost beside."""
     systems, _, _ = problem(4, 0.5)
     rng = np.random.default_rng(0)
     deviations, at = np.array([1.0, 2.0]), rng.normal(size=4)
-    values, numbers = at[:2], at[2:]
+    values, coefficients = at[:2], at[2:]
     moved, cost = [], 0.0
     for s in systems:
         standardised = rng.normal(size=5)
@@ -200,7 +200,7 @@ def test_evidence_does_not_depend_on_where_a_quadratic_is_developed() -> None:
         cost += 0.5 * step @ s.matrix @ step + s.gradient @ step
         moved.append(replace(s, gradient=s.gradient + s.matrix @ step, standardised=standardised))
     here = Evidence(systems, np.zeros(2), deviations)
-    there = Evidence(moved, values, deviations, numbers=numbers)
+    there = Evidence(moved, values, deviations, coefficients=coefficients)
     a, b = here.posterior((2, 3)), there.posterior((2, 3))
     assert b.log_evidence - cost == pytest.approx(a.log_evidence, abs=1e-8)
     np.testing.assert_allclose(b.mean, a.mean, atol=1e-8)
@@ -211,10 +211,10 @@ def test_the_way_to_the_mean_is_gone_as_far_as_is_allowed() -> None:
     systems, _, _ = problem(5, 0.5)
     evidence = Evidence(systems, np.zeros(2), np.ones(2))
     best = evidence.posterior((2, 3))
-    values, numbers, _ = evidence.towards(best.columns, best.discrepancy, 0.0, np.full(2, np.inf))
-    np.testing.assert_allclose(numbers, best.mean)
+    values, coefficients, _ = evidence.towards(best.free, best.discrepancy, 0.0, np.full(2, np.inf))
+    np.testing.assert_allclose(coefficients, best.mean)
     limit = 0.25 * np.abs(values).max()
-    shorter, part, _ = evidence.towards(best.columns, best.discrepancy, 0.0, np.array([limit, limit]))
+    shorter, part, _ = evidence.towards(best.free, best.discrepancy, 0.0, np.array([limit, limit]))
     assert np.abs(shorter).max() == pytest.approx(limit)
     np.testing.assert_allclose(part, 0.25 * best.mean)
 
@@ -223,7 +223,7 @@ def test_a_window_that_is_frozen_stays_and_the_others_move() -> None:
     systems, _, _ = problem(3, 0.5)
     evidence = Evidence(systems, np.zeros(2), np.ones(2))
     best = evidence.posterior((2,))
-    every = evidence.towards(best.columns, best.discrepancy, 0.0, np.full(2, np.inf))[2]
+    every = evidence.towards(best.free, best.discrepancy, 0.0, np.full(2, np.inf))[2]
     frozen = np.arange(len(systems)) == 1
     changes = evidence.towards((2,), best.discrepancy, 0.0, np.full(2, np.inf), frozen)[2]
     assert np.abs(changes[1]).max() < 1e-3 * np.abs(every[1]).max()

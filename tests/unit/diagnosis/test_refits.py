@@ -68,14 +68,14 @@ def mechanics() -> Mechanics:
     )
     fit = fit_base(shooting, positions[0], STIFFNESS, FRAMES, lambda what, cost: None)
     effects = [CATALOGUE[name]() for name in NAMES]
-    columns, at = {}, 0
+    coefficients, at = {}, 0
     for candidate in effects:
-        columns[candidate.NAME] = (at, at + len(candidate.scales))
+        coefficients[candidate.NAME] = (at, at + len(candidate.scales))
         at += len(candidate.scales)
     systems = effect_systems(shooting, fit, effects, around, None, at)
     evidence = Evidence(systems, fit.values, base_deviations(shooting))
     assert evidence.n_base == N_BASE
-    found = Mechanics(shooting, fit, evidence, columns, {e.NAME: e for e in effects}, around)
+    found = Mechanics(shooting, fit, evidence, coefficients, {e.NAME: e for e in effects}, around)
     return converged(found, None, USUAL, 3)
 
 

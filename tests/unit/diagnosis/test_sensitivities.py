@@ -1,4 +1,4 @@
-"""Tangents for many columns at once against the simulation itself."""
+"""Tangents for many unknowns at once against the simulation itself."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import torch
 
-from toile.diagnosis.effect_columns import FORCES, Instant, force_columns
+from toile.diagnosis.effect_sensitivities import FORCES, Instant, force_sensitivities
 from toile.diagnosis.sensitivities import (
     DEFAULT,
     BlockFactor,
-    Columns,
     KnownMotion,
+    LoadSensitivities,
     StepForces,
     TangentSettings,
 )
@@ -92,12 +92,12 @@ def effect_tangents(
     h, n = simulator.time_step, len(effect.scales)
     rest = np.zeros((n, len(motion[0]), 3))
 
-    def columns(step: StepForces) -> Columns:
+    def loads(step: StepForces) -> LoadSensitivities:
         now = Instant(step, (step.index + 1) * h, h, STIFFNESS, acceleration, step.positions[pinned])
-        return Columns(force_columns(effect, now, around), np.zeros((n, len(pinned), 3)))
+        return LoadSensitivities(force_sensitivities(effect, now, around), np.zeros((n, len(pinned), 3)))
 
     known = KnownMotion(simulator, motion, STIFFNESS, settings=UNLIMITED)
-    tangents = known.tangents(0, N_FRAMES - 1, 1, columns, rest, rest)
+    tangents = known.tangents(0, N_FRAMES - 1, 1, loads, rest, rest)
     found = np.stack([x for x, _ in tangents])
     return np.moveaxis(found, -1, 0).reshape(n, *motion[1:].shape)
 
@@ -105,7 +105,7 @@ def effect_tangents(
 @pytest.mark.parametrize(
     "name", [n for n, e in CATALOGUE.items() if issubclass(e, FORCES) and n != "contact"]
 )
-def test_columns_are_the_derivatives_of_the_simulation(name: str) -> None:
+def test_tangents_are_the_derivatives_of_the_simulation(name: str) -> None:
     """To first order: what effects do to later velocities through themselves is of second order here."""
     around = surroundings()
     effect = CATALOGUE[name]()
@@ -136,8 +136,8 @@ def test_the_required_force_is_the_one_that_acted() -> None:
 @pytest.mark.parametrize(
     "name", [n for n, e in CATALOGUE.items() if issubclass(e, FORCES) and n != "contact"]
 )
-def test_columns_hold_where_an_effect_is_strong(name: str) -> None:
-    """What damping, drag and changed stiffness do to later motion is in the tangents, not in the columns."""
+def test_tangents_hold_where_an_effect_is_strong(name: str) -> None:
+    """What damping, drag and changed stiffness do to later motion is in the tangents, not in the forces."""
     around = surroundings()
     plain_effect = CATALOGUE[name]()
     numbers = 0.8 * plain_effect.scales

@@ -15,10 +15,10 @@ import pytest
 import torch
 
 from toile.diagnosis.continuity import Discrepancy
-from toile.diagnosis.diagnose import DiagnosisSettings
 from toile.diagnosis.evidence import EvidenceSettings
 from toile.diagnosis.fingerprint import code_fingerprint, fingerprint
 from toile.diagnosis.outline_cue import OutlineSettings
+from toile.diagnosis.settings import DiagnosisSettings
 from toile.diagnosis.shrinkage import PredictionSettings
 from toile.diagnosis.stage_store import Result, StageStore
 from toile.diagnosis.stage_times import StageTimes, read_times

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from toile.diagnosis.base_fit import Base, base_columns
-from toile.diagnosis.sensitivities import Columns, KnownMotion, StepForces
+from toile.diagnosis.base_fit import Base, base_sensitivities
+from toile.diagnosis.sensitivities import KnownMotion, LoadSensitivities, StepForces
 from toile.diagnosis.template_tension import TemplateTension, template_tension
 from toile.physics.cloth import Cloth, grid_cloth, grid_material
 from toile.physics.implicit.integrators import BDF2, BackwardEuler
@@ -71,7 +71,7 @@ def test_with_its_tension_a_hanging_cloth_stays_and_without_it_sags(hanging) -> 
     assert stays < 0.2 * sags
 
 
-def test_another_stiffness_leaves_the_tension_and_its_column_says_so(hanging) -> None:
+def test_another_stiffness_leaves_the_tension_and_its_sensitivity_says_so(hanging) -> None:
     cloth, shape, true = hanging
     tension = TemplateTension(np.clip(true, 0, None))
     simulator = ImplicitSimulator(cloth, STEP, BDF2(), NewtonSettings(1e-9), (tension,))
@@ -83,14 +83,14 @@ def test_another_stiffness_leaves_the_tension_and_its_column_says_so(hanging) ->
     pulled[:, 1:] += 0.02 * (shape[:, 1:2] - shape[:, 1].min())
     motion = move(cloth, pulled, STIFFNESS, frames, STEP, tension)
     known = KnownMotion(simulator, motion, STIFFNESS)
-    of_base = base_columns(problem, Base(STIFFNESS, np.zeros(2)))
+    of_base = base_sensitivities(problem, Base(STIFFNESS, np.zeros(2)))
     pinned = np.zeros((5, len(cloth.pinned), 3))
 
-    def columns(step: StepForces) -> Columns:
-        return Columns(of_base(step), pinned)
+    def loads(step: StepForces) -> LoadSensitivities:
+        return LoadSensitivities(of_base(step), pinned)
 
     rest = np.zeros((5, len(shape), 3))
-    tangents = np.stack([x for x, _ in known.tangents(0, frames - 1, 1, columns, rest, rest)])
+    tangents = np.stack([x for x, _ in known.tangents(0, frames - 1, 1, loads, rest, rest)])
     for k in range(3):
         factor = np.ones(3)
         factor[k] = np.exp(1e-4)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from toile.errors import InputError
-from toile.physics.frame_steps import FrameSteps
+from toile.physics.frame_steps import FrameSteps, fewest_substeps
 
 PHONE = [*(0.02 * k for k in range(8)), *(0.16 + 0.08 * k for k in range(8))]
 """8 frames at 20 ms and 8 at 80 ms."""
@@ -15,6 +15,15 @@ PHONE = [*(0.02 * k for k in range(8)), *(0.16 + 0.08 * k for k in range(8))]
 def off(steps: FrameSteps, times: list[float]) -> float:
     step = times[-1] / steps.ends[-1]
     return float(np.abs(steps.times(step).numpy() - times).max())
+
+
+@pytest.mark.parametrize(
+    ("duration", "longest", "n"),
+    [(0.02, 0.01, 2), (0.03, 0.01, 3), (1 / 30, 0.01, 4), (0.005, 0.01, 1), (600.0, 0.01, 60_000)],
+)
+def test_as_few_as_keep_a_step_within_the_longest(duration: float, longest: float, n: int) -> None:
+    """Whatever rounding does: 0.03 / 0.01 is more than 3."""
+    assert fewest_substeps(duration, longest) == n
 
 
 def test_times_that_have_a_common_step() -> None:

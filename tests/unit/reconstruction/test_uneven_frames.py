@@ -8,11 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from omegaconf import OmegaConf
 
-from toile.cli.fit import frame_steps
-from toile.cli.fit_results import residual_force
-from toile.diagnosis.diagnose import DiagnosisSettings, diagnose
+from toile.diagnosis.diagnose import diagnose
+from toile.diagnosis.settings import DiagnosisSettings
 from toile.effects.frame_rate import FrameRate
 from toile.errors import InputError
 from toile.physics.frame_steps import FrameSteps
@@ -20,6 +18,7 @@ from toile.physics.implicit.integrators import BDF2
 from toile.physics.implicit.newton import NewtonSettings
 from toile.physics.implicit.simulator import ImplicitSimulator
 from toile.reconstruction.effects import FitEffects
+from toile.reconstruction.fitted_motion import residual_force
 from toile.reconstruction.gauss_newton.recipe import SlidingWindows, TrackingRecipe, TrackingStage
 from toile.reconstruction.gauss_newton.unknowns import Priors, WindowUnknowns
 from toile.reconstruction.gauss_newton.window import minimise_window, state_at
@@ -224,23 +223,6 @@ def test_the_residual_force_knows_the_intervals(make: Make) -> None:
     # Measured where the interval changes: 0.13 and 0.78 of the weight.
     change = CHOSEN.index(5)
     assert right.per_frame[change] < 0.25 * wrong.per_frame[change]
-
-
-def settings(**changes: object) -> OmegaConf:
-    given = {"substeps": None, "longest_substep": 0.01, "largest_time_error": 1e-3, **changes}
-    return OmegaConf.create(given)
-
-
-def test_settings_of_the_sub_steps(make: Make, caplog: pytest.LogCaptureFixture) -> None:
-    even, scene = make(4, 50.0, 1).scene, uneven(make).scene
-    assert frame_steps(settings(), even) == FrameSteps.regular(2, 4)
-    assert frame_steps(settings(substeps=3), even) == FrameSteps.regular(3, 4)
-    with caplog.at_level("INFO"):
-        assert frame_steps(settings(), scene).ends == CHOSEN
-    assert "21 sub-steps of 10 ms" in caplog.text
-    with pytest.raises(InputError, match="evenly spaced frames") as caught:
-        frame_steps(settings(substeps=3), scene)
-    assert "10 to 40 ms" in caught.value.got
 
 
 def test_a_number_per_frame_means_nothing_for_uneven_frames(make: Make) -> None:

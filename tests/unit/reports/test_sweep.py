@@ -158,13 +158,13 @@ def test_failed_runs_show_their_settings(sweep_folder: Path) -> None:
     }
     text = body(SweepPage(sweep, sweep_folder / "report.html").render())
     row, other = re.findall(r"<tr><th>R1/(?:bad/seed4|early)</th>(.*?)</tr>", unfinished_table(text))
-    assert re.findall(r"data-label='(.*?)'>(.*?)</td>", row) == [
+    assert re.findall(r'data-label="(.*?)">(.*?)</td>', row) == [
         ("steps", "1"),
         ("turbulence", "10"),
         ("asked for", ""),
         ("seed", "4"),
     ]
-    assert "data-label='asked for'>bending=&lt;-1&gt;" in other
+    assert 'data-label="asked for">bending=&lt;-1&gt;' in other
     assert "bending is negative" in other
     # What only the failed run has is a column of the others, too.
     assert ">steps</button>" in text

@@ -157,7 +157,10 @@ CASES: dict[str, tuple[Breaker, tuple[str, ...]]] = {
     "units": (change(units="millimetres"), ("'units'", "metres", "millimetres")),
     "gravity of two": (change(gravity=[0, 9.81]), ("'gravity'", "m/s²", "[0, 9.81]")),
     "cloth size negative": (change(cloth_size_m=[0.5, -0.4]), ("'cloth_size_m'", "positive", "-0.4")),
-    "held out of range": (change(held_vertices=[0, 30]), ("Pinned vertex", "0 to 29", "30")),
+    "held out of range": (
+        change(pinned_vertices=None, held_vertices=[0, 30]),
+        ("Pinned vertex", "0 to 29", "30"),
+    ),
     "pinned negative": (change(pinned_vertices=[-1]), ("Pinned vertex", "0 to 29", "-1")),
     "held twice": (change(pinned_vertices=[0, 25, 0]), ("listed twice", "distinct", "0 more than once")),
     "focal zero": (set_entry(0, 0, 0.0), ("Focal length", "fx > 0", "fx 0")),

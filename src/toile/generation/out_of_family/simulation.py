@@ -11,11 +11,13 @@ from torch import Tensor
 from toile.generation.motion import PinnedMotion
 from toile.generation.out_of_family.interface import OutOfFamilyEffect, places_on
 from toile.generation.simulation import Sheet
-from toile.physics.elements import Elements
+from toile.physics.cloth import Cloth
 from toile.physics.implicit.integrators import BDF2
 from toile.physics.implicit.newton import NewtonSettings
 from toile.physics.implicit.simulator import ImplicitSimulator
-from toile.physics.simulator import SimulationError, StepStatus
+from toile.physics.material import Material
+from toile.physics.rollout import rollout
+from toile.physics.simulator import SimulationError, StepResult
 from toile.physics.state import State
 from toile.physics.step_terms import StepContext
 
@@ -61,7 +63,6 @@ def simulate_out_of_family(
     masses = cloth.masses
     for effect in effects:
         masses = effect.masses(masses, places)
-    cloth = replace(cloth, masses=masses)
     step = interval / substeps
     n_steps = (n_frames - 1) * substeps
     # The hand moves by the clock of the declared frames: a wrong frame rate changes how it is seen, too.
@@ -71,52 +72,62 @@ def simulate_out_of_family(
         path = path + effect.boundary(times)
     start = sheet.pose.reshape(1, -1, 3)
     boundary = start[:, cloth.pinned] + path
-    simulator = _ElementSimulator(sheet, step, newton, cloth.masses)
+    simulator = _ExplicitEffects(replace(sheet.cloth, masses=masses), step, newton, effects)
     state = State.start(start, torch.zeros_like(start), step, simulator.n_past)
-    constant = masses[:, None] * (gravity + wind)
-    motion = [sheet.pose.reshape(-1, 3)]
-    changing = [e for e in effects if type(e).elements is not OutOfFamilyEffect.elements]
-    pushing = [e for e in effects if type(e).acceleration is not OutOfFamilyEffect.acceleration]
-    nominal = cloth.energies.elements()
-    for n in range(1, n_steps + 1):
-        forces = constant
-        if changing or pushing:
+    forces = (masses[:, None] * (gravity + wind)).expand(1, n_steps, -1, 3)
+    try:
+        motion = rollout(simulator, state, sheet.material, forces, boundary[None], substeps=1)
+    except SimulationError as error:
+        raise SimulationError(f"generator: {error} Or try a weaker effect, or another seed.") from error
+    return motion.positions[0].reshape(n_steps + 1, *sheet.pose.shape)
+
+
+class _ExplicitEffects(ImplicitSimulator):
+    """The package's solver; what effects do in a step hangs on the motion at its begin, not within it.
+
+    Args:
+        cloth: with the masses that the effects make of it.
+        step: [s].
+        newton: accuracy of every step.
+        effects: that act, begun.
+    """
+
+    def __init__(
+        self, cloth: Cloth, step: float, newton: NewtonSettings, effects: Sequence[OutOfFamilyEffect]
+    ) -> None:
+        super().__init__(cloth, step, BDF2(), newton)
+        self._changing = [e for e in effects if type(e).elements is not OutOfFamilyEffect.elements]
+        self._pushing = [e for e in effects if type(e).acceleration is not OutOfFamilyEffect.acceleration]
+
+    def step(
+        self,
+        state: State,
+        material: Material,
+        forces: Tensor,
+        boundary: Tensor,
+        guess: Tensor | None = None,
+        *,
+        linearize: bool = False,
+    ) -> StepResult:
+        """One step of one cloth, its stiffness factors, rest shapes and forces set before it."""
+        if self._changing or self._pushing:
             now = StepContext(
-                cloth=cloth,
-                material=sheet.material,
+                cloth=self.cloth,
+                material=material,
                 # Where the cloth is about to be: forces that lag by a step feed energy to contacts.
-                positions=state.positions[0] + step * state.velocities[0],
+                positions=state.positions[0] + self.time_step * state.velocities[0],
                 velocities=state.velocities[0],
-                time=float(times[n]),
-                time_step=step,
-                boundary=boundary[n],
+                time=self.time_step * (state.steps + 1),
+                time_step=self.time_step,
+                boundary=boundary[0],
             )
-            for effect in pushing:
+            for effect in self._pushing:
                 acceleration = effect.acceleration(now)
                 if acceleration is not None:
-                    forces = forces + masses[:, None] * acceleration
-            elements = nominal
-            for effect in changing:
-                elements = effect.elements(elements, now)
-            if changing:
-                simulator.use(elements)
-        result = simulator.step(state, sheet.material, forces[None], boundary[None, n])
-        if result.status[0] is not StepStatus.CONVERGED:
-            raise SimulationError(
-                f"generator: step {n} of {n_steps} failed ({result.status[0].value}). Try more sub-steps, a "
-                "weaker effect or another seed."
-            )
-        state = result.state
-        motion.append(state.positions[0])
-    return torch.stack(motion).reshape(n_steps + 1, *sheet.pose.shape)
-
-
-class _ElementSimulator(ImplicitSimulator):
-    """The package's solver with stiffness factors and rest shapes that are set before a step."""
-
-    def __init__(self, sheet: Sheet, step: float, newton: NewtonSettings, masses: Tensor) -> None:
-        super().__init__(replace(sheet.cloth, masses=masses), step, BDF2(), newton)
-
-    def use(self, elements: Elements) -> None:
-        """Take these elements from the next step on."""
-        self.assembly.set_elements(elements)
+                    forces = forces + self.cloth.masses[:, None] * acceleration
+            if self._changing:
+                elements = self.cloth.energies.elements()
+                for effect in self._changing:
+                    elements = effect.elements(elements, now)
+                self.assembly.set_elements(elements)
+        return super().step(state, material, forces, boundary, guess, linearize=linearize)

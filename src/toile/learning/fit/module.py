@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import torch
-from lightning import LightningModule
+from lightning import LightningDataModule, LightningModule
 from torch import Tensor
 
 from toile.errors import InputError
@@ -27,7 +27,13 @@ _COUNTS = "_iterations"  # a recipe's numbers that are work, not losses, end lik
 class FitModule(LightningModule):
     """Runs a recipe cycle by cycle; Lightning brings the loop, checkpoints and loggers.
 
-    The recipe changes the parameters itself: optimisation is manual, and Lightning sees no optimiser.
+    The recipe changes the parameters itself: optimisation is manual, and Lightning sees no optimiser. A cycle
+    of Gauss-Newton solves a window of its own choice, and takes a step only if the objective falls. Adam's is
+    no loss, backward and step either: where the simulation fails, the previous update is halved until it
+    succeeds; the pinned vertices' motion and the effects are optimised in other variables than the
+    parameters', which get their gradients from theirs; and back-propagation goes through the renderer in
+    parts, and through time from there. Recipes also run without Lightning, in the diagnosis.
+
     A checkpoint always holds the state after a complete cycle, also one that is written in the middle of the
     next because of an exception; a fit resumed from it is bit-identical to one that was never interrupted.
 
@@ -75,6 +81,9 @@ class FitModule(LightningModule):
         self.report = report
         self.cycles_done += 1
         self._complete = self._snapshot()
+        last = self.history[-1]
+        self.log_dict({scalar_tag(name): value for name, value in last.items() if name != "cycle"})
+        self.log("step", last["cycle"])
 
     def roll_back(self) -> None:
         """Undo what an interrupted cycle may have changed."""
@@ -109,7 +118,6 @@ class FitModule(LightningModule):
             self.load_state_dict(checkpoint["state_dict"])
             self.recipe.load_state_dict(copy.deepcopy(state["recipe"]))
         except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
-            self.cycles_done = 0  # or else the callback would save this over the checkpoint
             raise InputError(
                 "The checkpoint does not fit this run",
                 where="checkpoints/last.ckpt",
@@ -127,23 +135,35 @@ class FitModule(LightningModule):
         }
 
 
-class Cycles:
-    """The cycle indices of a fit, as a data loader: Lightning runs one training step for each.
+class CyclesOfFit(LightningDataModule):
+    """The cycle indices of a fit: Lightning runs one training step for each.
 
-    A DataLoader would warn about missing worker processes; Lightning takes any iterable with a length.
+    The recipe chooses the frames of a cycle. A DataLoader would warn about missing worker processes;
+    Lightning takes any iterable with a length.
 
     Args:
         module: tells how many cycles are done already when the loop starts.
     """
 
     def __init__(self, module: FitModule) -> None:
+        super().__init__()
         self._module = module
+
+    def train_dataloader(self) -> CyclesOfFit:
+        """All cycles, in one epoch."""
+        return self
 
     def __len__(self) -> int:
         return self._module.n_cycles
 
     def __iter__(self) -> Iterator[int]:
         return iter(range(self._module.cycles_done, self._module.n_cycles))
+
+
+def scalar_tag(column: str) -> str:
+    """Tag of a column of the history: its name without what TensorBoard does not allow in tags."""
+    name = column.replace("²", "2").replace(" [", "_").replace("]", "").replace(" ", "_").replace("/s", "_s")
+    return f"fit/{name}"
 
 
 def row(

@@ -1,40 +1,54 @@
-"""Exponential average of the weights over the steps: what is exported in the end."""
+"""Exponential average of the weights over the steps: what is validated, and exported in the end."""
 
 from __future__ import annotations
 
-from typing import cast
+from typing import TYPE_CHECKING, Any, cast
 
 import torch
+from lightning import LightningModule, Trainer
+from lightning.pytorch.callbacks import WeightAveraging
 from torch import Tensor
-from torch.optim.swa_utils import AveragedModel
 
 from toile.physics.surrogate.surrogate import Surrogate
+
+if TYPE_CHECKING:
+    from toile.learning.surrogate.module import SurrogateTraining
 
 Tensors = tuple[Tensor, ...] | list[Tensor]
 
 
-class AverageSurrogate(AveragedModel):
-    """A copy of the network that follows its weights slowly, and quickly at the beginning.
+class AverageSurrogate(WeightAveraging):
+    """An average that follows the weights slowly, and quickly at the beginning.
 
-    Lightning's callback for this would average the whole module and swap its weights in and out; as a part of
-    the module the copy is simply stored and restored with it.
+    Lightning's EMAWeightAveraging has one decay for the whole run; here the share that is kept rises to it.
+    During the validation, and when the run has ended, the average takes the place of the weights.
 
     Args:
-        surrogate: the network that is trained.
         decay: share of the average that is kept in a step; (1 + n) / (10 + n) in the first steps n, where
             that is less.
     """
 
-    def __init__(self, surrogate: Surrogate, decay: float) -> None:
+    def __init__(self, decay: float) -> None:
+        super().__init__(use_buffers=False, multi_avg_fn=self._average)
         self.decay = decay
-        super().__init__(surrogate, multi_avg_fn=self._average)
-        # It never gets gradients; several processes must not wait for them.
-        self.requires_grad_(False)
 
     @property
     def surrogate(self) -> Surrogate:
-        """The averaged network."""
-        return cast(Surrogate, self.module)
+        """The averaged network; there once the run has started."""
+        assert self._average_model is not None
+        return cast("SurrogateTraining", self._average_model.module).surrogate
+
+    def setup(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
+        """Copy the network to where it will be trained."""
+        self._device = trainer.strategy.root_device
+        super().setup(trainer, pl_module, stage)
+
+    def on_train_batch_end(
+        self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
+    ) -> None:
+        """Follow the weights, unless the step was left out."""
+        if not cast("SurrogateTraining", pl_module).step_left_out:
+            super().on_train_batch_end(trainer, pl_module, outputs, batch, batch_idx)
 
     @torch.no_grad()
     def _average(self, averages: Tensors, weights: Tensors, n_averaged: Tensor | int) -> None:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import replace
 from typing import Any
 
 import torch
 from lightning import LightningModule
+from lightning.pytorch.utilities.types import OptimizerLRScheduler
 from torch import Tensor
+from torch.optim.lr_scheduler import LambdaLR
 
-from toile.learning.surrogate.average import AverageSurrogate
+from toile.errors import InputError
+from toile.learning.surrogate.batches import PoolBatches
 from toile.learning.surrogate.energies import energies_by_term
 from toile.learning.surrogate.pool import Pool
 from toile.learning.surrogate.resets import Resets, mean_length, relative_residual
@@ -28,18 +30,11 @@ class SurrogateTraining(LightningModule):
     """Trains the network on the pool's problems, one batch a step; needs no data.
 
     Draw a batch of cloth states, let the network propose a step, descend along the gradient of Eq. 4 rescaled
-    per sample, store the result of the step in the pool, and replace what went wrong. Optimisation is manual:
-    every pass of the network over a step has a backward of its own, so that only one graph is kept at a
-    time.
+    per sample, store the result of the step in the pool, and replace what went wrong. The gradients of the
+    passes of a step do not depend on each other; they are added, and clipped together.
 
-    A step is the unit of everything that is counted here; a run is one Lightning epoch, and "epoch" below
-    means ``settings.steps_per_epoch`` steps. A checkpoint written between two steps holds weights, average,
-    optimiser, pool and random numbers; a run resumed from it ends with the same bits as one that was never
-    interrupted.
-
-    With several processes (DDP) each has its own part of the pool with its own random numbers, and takes its
-    share of the batch; gradients are averaged. Checkpoints hold the pools of all processes. Resumed with
-    another number of processes, the surplus pools are dropped and the missing ones begin anew.
+    A run resumed from a checkpoint ends with the same bits as one that was never interrupted. With several
+    processes (DDP) gradients are averaged; see ``PoolBatches`` for their pools.
 
     Mixed precision (``bf16-mixed``) reaches the convolutions only: pool and physics consist of operations
     that stay in float32. Half precision with loss scaling is not supported.
@@ -47,86 +42,150 @@ class SurrogateTraining(LightningModule):
     Args:
         surrogate: the network, already initialised.
         settings: how to train.
-        seed: of the pool.
 
     Attributes:
-        average: exponential average of the weights.
-        pool: of this process, None before the start.
-        steps_done: number of complete steps.
-        seconds: time spent in them, over all resumes.
+        seconds: time spent in steps and validations, over all resumes.
         history: one row of plain numbers per complete epoch.
         measures: plain numbers of the last step.
+        step_left_out: whether the last step had a gradient that is not finite, and did nothing.
         validation: relative out-of-balance force (steps, cloths) of the last validation rollout, None before.
     """
 
-    def __init__(self, surrogate: Surrogate, settings: TrainingSettings, seed: int) -> None:
+    def __init__(self, surrogate: Surrogate, settings: TrainingSettings) -> None:
         super().__init__()
-        self.automatic_optimization = False
         # The layout in which convolutions on the CPU are fastest.
         self.surrogate = surrogate.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-        self.average = AverageSurrogate(surrogate, settings.average_decay)
         self.settings = settings
-        self.seed = seed
-        self.pool: Pool | None = None
-        self.steps_done = 0
         self.seconds = 0.0
         self.history: list[dict[str, float]] = []
         self.measures: dict[str, float] = {}
+        self.step_left_out = False
         self.validation: Tensor | None = None
         self._sums: dict[str, float] = {}
+        self._started = 0.0
 
-    def setup(self, stage: str) -> None:
-        """Fill the pool of this process; Lightning restores a checkpoint afterwards."""
-        n = self.trainer.world_size
-        device = self.trainer.strategy.root_device
-        # Far apart, so that runs with neighbouring seeds share no pool.
-        generator = torch.Generator(device).manual_seed(self.seed + 1_000_003 * self.global_rank)
-        self.pool = Pool(replace(self.settings.pool, size=_share(self.settings.pool.size, n)), generator)
+    def on_fit_start(self) -> None:
+        """Refuse settings of the trainer that would change what is counted.
 
-    def configure_optimizers(self) -> torch.optim.Optimizer:
-        """Adam, as in the paper; the step sets its learning rate."""
-        return torch.optim.Adam(self.surrogate.parameters(), lr=1.0, betas=self.settings.adam_betas)
-
-    def training_step(self, batch: int, batch_idx: int) -> None:
-        """One turn of the cycle."""
-        started = time.perf_counter()
-        settings, pool = self.settings, self.running_pool
-        optimizer: Any = self.optimizers()
-        rate = settings.learning_rate.at(self.steps_done, settings.steps_per_epoch, settings.n_steps)
-        for group in optimizer.param_groups:
-            group["lr"] = rate
-        indices = pool.draw(_share(settings.batch_size, self.trainer.world_size))
-        problem = pool.problem(indices)
-        optimizer.zero_grad()
-        measures = {"learning rate": rate}
-        last: Pass | None = None
-        for number, last in enumerate(self.surrogate.passes(problem, settings.n_passes), 1):
-            self.manual_backward((last.gradient * last.correction).sum() / (len(indices) * settings.n_passes))
-            measures |= _pass_measures(number, last, problem.forces)
-        assert last is not None
-        norm = float(torch.nn.utils.clip_grad_norm_(self.surrogate.parameters(), settings.gradient_norm))
-        # The same in all processes: the gradients are averaged by now.
-        usable = math.isfinite(norm)
-        if usable:
-            optimizer.step()
-            self.average.update_parameters(self.surrogate)
-        pool.advance(indices, last.positions)
-        resets = self._reset(indices, last, problem.forces)
-        measures |= {
-            "gradient norm": norm if usable else 0.0,
-            "skipped steps": float(not usable),
-            "resets/diverged": float(resets.diverged.sum()),
-            "resets/old": float(resets.old.sum()),
-            "resets/random": float(resets.random.sum()),
+        Raises:
+            InputError: there is one.
+        """
+        needed = {
+            "max_epochs": self.settings.epochs,
+            "max_steps": -1,
+            "limit_train_batches": 1.0,
+            "limit_val_batches": 1.0,
+            "val_check_interval": 1.0,
+            "check_val_every_n_epoch": 1,
+            "accumulate_grad_batches": 1,
+            "gradient_clip_val": None,
         }
-        self._count(measures, started)
+        for name, value in needed.items():
+            got = getattr(self.trainer, name)
+            if got != value:
+                raise InputError(
+                    "The training cannot run like this",
+                    where=f"trainer.{name}",
+                    expected=f"{value}: length, validation and gradients are settings of the training",
+                    got=str(got),
+                )
+
+    def configure_optimizers(self) -> OptimizerLRScheduler:
+        """Adam, as in the paper, and the learning rate of every step."""
+        settings = self.settings
+        optimizer = torch.optim.Adam(self.surrogate.parameters(), lr=1.0, betas=settings.adam_betas)
+        scheduler = LambdaLR(
+            optimizer, lambda k: settings.learning_rate.at(k, settings.steps_per_epoch, settings.n_steps)
+        )
+        return {"optimizer": optimizer, "lr_scheduler": {"scheduler": scheduler, "interval": "step"}}
+
+    def training_step(self, batch: Tensor, batch_idx: int) -> Tensor:
+        """One turn of the cycle.
+
+        Args:
+            batch: indices (B,) of cloths of the pool.
+            batch_idx: of the step in the epoch.
+
+        Returns:
+            A number whose gradient is that of the rescaled Eq. 4; its value means nothing.
+        """
+        self._started = time.perf_counter()
+        settings, problem = self.settings, self.pool.problem(batch)
+        schedule: Any = self.lr_schedulers()
+        self.measures = {"learning rate": schedule.get_last_lr()[0]}
+        losses, last = [], None
+        for number, last in enumerate(self.surrogate.passes(problem, settings.n_passes), 1):
+            losses.append((last.gradient * last.correction).sum() / (len(batch) * settings.n_passes))
+            self.measures |= _pass_measures(number, last, problem.forces)
+        assert last is not None
+        self.pool.advance(batch, last.positions)
+        resets = self._reset(batch, last, problem.forces)
+        self.measures |= {"gradient norm": 0.0, "skipped steps": 0.0}  # as the backward pass will tell
+        self.measures |= {f"resets/{why}": float(which.sum()) for why, which in resets._asdict().items()}
+        return torch.stack(losses).sum()
+
+    def configure_gradient_clipping(
+        self,
+        optimizer: torch.optim.Optimizer,
+        gradient_clip_val: float | None = None,
+        gradient_clip_algorithm: str | None = None,
+    ) -> None:
+        """Shorten a gradient that is too long; one that is not finite leaves the step out."""
+        norm = float(torch.nn.utils.clip_grad_norm_(self.surrogate.parameters(), self.settings.gradient_norm))
+        # The same in all processes: the gradients are averaged by now.
+        self.step_left_out = not math.isfinite(norm)
+        if self.step_left_out:
+            optimizer.zero_grad()  # Adam passes over what has no gradient.
+        self.measures |= {
+            "gradient norm": 0.0 if self.step_left_out else norm,
+            "skipped steps": float(self.step_left_out),
+        }
+        for name, value in self.measures.items():
+            self._sums[name] = self._sums.get(name, 0.0) + value
+        self.log_dict({f"step/{_tag(name)}": value for name, value in self.measures.items()})
+        self.log("step", self.steps_done + 1.0)
+        self.seconds += time.perf_counter() - self._started
+
+    def on_validation_epoch_start(self) -> None:
+        """Start the clock."""
+        self._started = time.perf_counter()
+
+    def validation_step(self, batch: int, batch_idx: int) -> None:
+        """Move cloths by the network alone; by now it has the averaged weights."""
+        settings = self.settings
+        self.validation = validation_rollout(self.surrogate, settings.pool, settings.validation, self.device)
+
+    def on_validation_epoch_end(self) -> None:
+        """Add a row to the history."""
+        assert self.validation is not None
+        n, pool, finite = self.settings.steps_per_epoch, self.pool, self.validation.nan_to_num(nan=torch.inf)
+        row = {"epoch": float(self.epochs_done), "steps": float(self.steps_done)}
+        row |= {name: total / n for name, total in self._sums.items()}
+        self._sums = {}
+        first = torch.arange(min(_SHOWN, pool.settings.size), device=pool.generator.device)
+        for name, energy in energies_by_term(pool.states.take(first)).items():
+            row[f"energy/{name}"] = float(energy.mean())
+        row["pool age/mean"] = float(pool.states.age.float().mean())
+        row["pool age/largest"] = float(pool.states.age.max())
+        row["validation residual/median"] = float(finite.median())
+        row["validation residual/0.9"] = float(finite.quantile(0.9))
+        self.seconds += time.perf_counter() - self._started
+        row["seconds"] = self.seconds
+        self.history.append(row)
+        shown = {f"epoch/{_tag(name)}": row[name] for name in row if name not in ("epoch", "steps")}
+        self.log_dict({**shown, "step": row["steps"]}, sync_dist=True)
 
     @property
-    def running_pool(self) -> Pool:
-        """The pool, once the run has started."""
-        if self.pool is None:
-            raise RuntimeError("the pool is filled when the training starts")
-        return self.pool
+    def pool(self) -> Pool:
+        """The pool of this process, once the run has started."""
+        batches: Any = self.trainer.datamodule  # type: ignore[attr-defined]
+        assert isinstance(batches, PoolBatches)
+        return batches.pool
+
+    @property
+    def steps_done(self) -> int:
+        """Number of complete steps."""
+        return self.trainer.global_step
 
     @property
     def epochs_done(self) -> int:
@@ -134,43 +193,29 @@ class SurrogateTraining(LightningModule):
         return self.steps_done // self.settings.steps_per_epoch
 
     @property
-    def at_epoch_end(self) -> bool:
-        """Whether the last step was the last of an epoch."""
-        return self.steps_done > 0 and self.steps_done % self.settings.steps_per_epoch == 0
-
-    @property
     def finished(self) -> bool:
         """Whether all steps are done."""
         return self.steps_done >= self.settings.n_steps
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Add everything the next step depends on: plain tensors, numbers, lists and dictionaries."""
-        # Steps are counted here; the loop's own counters would disagree after a stop within its epoch.
-        checkpoint.pop("loops", None)
+        """Add what Lightning does not know of: plain numbers, lists and dictionaries."""
         checkpoint[STATE] = {
-            "pools": self._all_pools(),
-            "steps_done": self.steps_done,
             "seconds": self.seconds,
             "history": [dict(row) for row in self.history],
             "sums": dict(self._sums),
-            "seed": self.seed,
         }
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Inverse of on_save_checkpoint; Lightning restores weights, average and optimiser."""
+        """Inverse of on_save_checkpoint; Lightning restores the rest."""
         state = checkpoint[STATE]
-        self.steps_done = int(state["steps_done"])
         self.seconds = float(state["seconds"])
         self.history = [dict(row) for row in state["history"]]
         self._sums = dict(state["sums"])
-        self.seed = int(state["seed"])
-        if self.pool is not None and self.global_rank < len(state["pools"]):
-            self.pool.load_state_dict(state["pools"][self.global_rank])
 
     @torch.no_grad()
     def _reset(self, indices: Tensor, last: Pass, forces: Tensor) -> Resets:
         """Replace what has diverged, is too old, or had bad luck."""
-        settings, pool = self.settings, self.running_pool
+        settings, pool = self.settings, self.pool
         length = settings.rollout_length
         resets = settings.resets.apply(
             last.positions,
@@ -184,53 +229,10 @@ class SurrogateTraining(LightningModule):
         pool.reset(indices[resets.any])
         return resets
 
-    def _count(self, measures: dict[str, float], started: float) -> None:
-        self.measures = measures
-        for name, value in measures.items():
-            self._sums[name] = self._sums.get(name, 0.0) + value
-        self.steps_done += 1
-        before = self.seconds
-        self.seconds = before + time.perf_counter() - started
-        if self.at_epoch_end:
-            self._end_epoch()
-            self.seconds = before + time.perf_counter() - started
 
-    def _end_epoch(self) -> None:
-        """Add a row to the history; the first process does the measuring."""
-        n = self.settings.steps_per_epoch
-        row = {"epoch": float(self.epochs_done), "steps": float(self.steps_done)}
-        row |= {name: total / n for name, total in self._sums.items()}
-        self._sums = {}
-        if self.trainer.is_global_zero:
-            pool = self.running_pool
-            first = torch.arange(min(_SHOWN, pool.settings.size), device=pool.generator.device)
-            for name, energy in energies_by_term(pool.states.take(first)).items():
-                row[f"energy/{name}"] = float(energy.mean())
-            row["pool age/mean"] = float(pool.states.age.float().mean())
-            row["pool age/largest"] = float(pool.states.age.max())
-            self.validation = validation_rollout(
-                self.average.surrogate, self.settings.pool, self.settings.validation, self.device
-            )
-            finite = self.validation.nan_to_num(nan=torch.inf)
-            row["validation residual/median"] = float(finite.median())
-            row["validation residual/0.9"] = float(finite.quantile(0.9))
-        row["seconds"] = self.seconds
-        self.history.append(row)
-
-    def _all_pools(self) -> list[dict[str, Any]]:
-        """States of the pools of all processes; only the first process gets the others'."""
-        own = self.running_pool.state_dict()
-        if self.trainer.world_size == 1:
-            return [own]
-        gathered: list[Any] = [None] * self.trainer.world_size
-        first = self.trainer.is_global_zero
-        torch.distributed.gather_object(own, gathered if first else None, dst=0)
-        return gathered if first else [own]
-
-
-def _share(total: int, n: int) -> int:
-    """What each of n processes gets of something, rounded up."""
-    return -(-total // n)
+def _tag(name: str) -> str:
+    """Name of a curve in TensorBoard."""
+    return name.replace(" ", "_")
 
 
 @torch.no_grad()

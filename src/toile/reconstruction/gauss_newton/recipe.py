@@ -22,18 +22,11 @@ from toile.errors import InputError
 from toile.limits import Count, Positive, Unit
 from toile.reconstruction.gauss_newton.unknowns import Priors, WindowUnknowns, force_change
 from toile.reconstruction.gauss_newton.window import minimise_window, state_at
-from toile.reconstruction.image_terms.image_features import contrast_features
-from toile.reconstruction.image_terms.texture_points import (
-    PointTermSettings,
-    TexturePoints,
-    TexturePointTerm,
-    grid_points,
-)
+from toile.reconstruction.image_terms.texture_points import PointTermSettings, TexturePointTerm, visible
 from toile.reconstruction.image_terms.tracked_positions import PositionTermSettings, TrackedPositionTerm
 from toile.reconstruction.parameters import ClothParameters
 from toile.reconstruction.problem import Reconstruction
 from toile.reconstruction.recipe import CycleReport, Recipe
-from toile.rendering.visibility import visible_points
 
 Array = NDArray[np.float64]
 
@@ -263,21 +256,14 @@ class TrackingRecipe(Recipe):
     def _enter(self, stage: TrackingStage, reconstruction: Reconstruction) -> None:
         if stage is self._stage:
             return
-        scene, settings = reconstruction.scene, stage.term
+        settings = stage.term
         self._stage = stage
         if isinstance(settings, PositionTermSettings):
             if self._tracked is None:
                 raise ValueError("a stage that fits tracked positions needs a stage that tracks before it")
             self._term = TrackedPositionTerm(self._tracked, settings)
             return
-        scales = settings.blur, settings.neighbourhood
-        features = contrast_features(scene.frames, scene.masks, *scales)
-        reference = contrast_features(settings.reference(reconstruction)[None], scene.masks[:1], *scales)[0]
-        points = grid_points(scene.grid, settings.per_side, _JITTER, self._seed)
-        self._term = TexturePointTerm(
-            features, reference, scene.camera, points, reconstruction.template.numpy(), settings
-        )
-        self._stage = stage
+        self._term = TexturePointTerm.of(reconstruction, settings, self._seed)
 
     def _is_last_of_stage(self, index: int) -> bool:
         return index + 1 == len(self._plan) or self._plan[index + 1][0] is not self._plan[index][0]
@@ -310,28 +296,3 @@ class TrackingRecipe(Recipe):
         with torch.no_grad():
             p.turbulence[known:last] = p.turbulence[known - 1]
             p.boundary_motion[known + 1 : last + 1] = p.boundary_motion[known]
-
-
-# Points of the image term lie anywhere in their lattice cell.
-_JITTER = 1.0
-
-# Two surfaces closer than this are one: bilinear points leave the triangles by about this much [m].
-_VISIBILITY_TOLERANCE = 4e-3
-
-
-def visible(reconstruction: Reconstruction, points: TexturePoints, positions: Array) -> NDArray[np.float32]:
-    """Visible points (n, P) as 0 or 1 for frame positions (n, N, 3)."""
-    x = torch.from_numpy(positions)
-    camera = reconstruction.scene.camera
-    fragments = reconstruction.renderer.rasterize(x, reconstruction.faces, camera)
-    faces, barycentrics = points.triangle_coordinates(reconstruction.scene.grid)
-    seen = visible_points(
-        fragments,
-        x,
-        reconstruction.faces,
-        camera,
-        torch.from_numpy(faces),
-        torch.from_numpy(barycentrics),
-        _VISIBILITY_TOLERANCE,
-    )
-    return np.asarray(seen.numpy(), np.float32)

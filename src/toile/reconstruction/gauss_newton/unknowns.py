@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from toile.effects.base import Effect
+from toile.effects.jacobian import jacobian
 from toile.effects.setting import Setting
 from toile.geometry.horizontal import horizontal_axes
 from toile.limits import NonNegative, Positive, Unit
@@ -41,7 +42,7 @@ class Priors:
         wind: of each horizontal component of the constant wind around zero [m/s²].
         walk: learn stiffness, wind and effects on the way: their deviations are then those of the change
             within one window, around the values that the window before has left.
-        effects: of the numbers of the effects around their start values, in units of each one's scale.
+        effects: of the coefficients of the effects around their start values, in units of each one's scale.
     """
 
     turbulence: Annotated[Positive, Unit("m/s²")] | None
@@ -71,8 +72,8 @@ class WindowInputs:
 
 
 @dataclass(frozen=True)
-class EffectColumns:
-    """Change of a window's inputs per unit of each of the k numbers that the effects have.
+class EffectSensitivities:
+    """Change of a window's inputs per unit of each of the k coefficients of the effects.
 
     Attributes:
         forces: (k, n, N, 3) [N].
@@ -141,7 +142,7 @@ class WindowUnknowns:
         self._value_deviations = (priors.effects or 0.0) * effects.scales.numpy() if free else None
         self._mean_values = self._values if priors.walk else effects.start.numpy()
         self._terms = effects.in_step_terms.numpy()
-        self._columns: tuple[bytes, EffectColumns] | None = None
+        self._sensitivities: tuple[bytes, EffectSensitivities] | None = None
         if len(effects):
             with torch.no_grad():
                 given = reconstruction.setting()
@@ -209,7 +210,7 @@ class WindowUnknowns:
         return {**z, "effects": np.clip(z["effects"], *self._standardised_bounds())}
 
     def stopped(self, z: Vector, vector: Vector, gradient: Vector) -> Vector:
-        """The vector, 0 where a number is at a bound and a step down the gradient would leave it."""
+        """The vector, 0 where a coefficient is at a bound and a step down the gradient would leave it."""
         if self._value_deviations is None:
             return vector
         low, high = self._standardised_bounds()
@@ -237,7 +238,7 @@ class WindowUnknowns:
         acting = self._effects.acting(torch.from_numpy(self.values(z)), as_leaves=linearize)
         with torch.no_grad():
             given = self._setting(z, acting)
-            # Terms keep numbers that require gradients; masses and time step must not.
+            # Terms keep coefficients that require gradients; masses and time step must not.
             cloth = replace(given.cloth, masses=given.cloth.masses.detach())
             cloth = r.cloth if given.cloth is r.cloth else cloth
             given = replace(given, cloth=cloth, frame_interval=given.frame_interval.detach())
@@ -253,16 +254,16 @@ class WindowUnknowns:
         motion[self.first : self.last + 1] = torch.from_numpy(self.boundary_motion(z))
         return self.reconstruction.setting(effects, motion, torch.from_numpy(self.wind(z)))
 
-    def columns(self, z: Vector) -> EffectColumns:
-        """Derivatives of the window's inputs by the effects' numbers; those within step terms are zero."""
+    def sensitivities(self, z: Vector) -> EffectSensitivities:
+        """Derivatives of the window's inputs by the effects' coefficients; of those in step terms zero."""
         values = self.values(z)
         key = b"".join(a.tobytes() for a in (values, self.wind(z), self.boundary_motion(z)))
-        if self._columns is None or self._columns[0] != key:
-            self._columns = key, self._differentiate(z, values)
-        return self._columns[1]
+        if self._sensitivities is None or self._sensitivities[0] != key:
+            self._sensitivities = key, self._differentiate(z, values)
+        return self._sensitivities[1]
 
-    def _differentiate(self, z: Vector, values: Array) -> EffectColumns:
-        # Effects pass over numbers that are 0 and require no gradients.
+    def _differentiate(self, z: Vector, values: Array) -> EffectSensitivities:
+        # Effects pass over coefficients that are 0 and require no gradients.
         with torch.enable_grad():
             at = torch.from_numpy(values).requires_grad_()
             given = self._setting(z, self._effects.acting(at))
@@ -272,10 +273,10 @@ class WindowUnknowns:
                 given.boundary[self.first : self.last + 1],
                 masses.log() - 2 * interval.log(),
             )
-            forces, boundary, inertia = (jacobian_columns(part, at).numpy() for part in parts)
+            forces, boundary, inertia = (jacobian(part, at).numpy() for part in parts)
         # The window starts where the cloth is.
         boundary[:, 0] = 0.0
-        return EffectColumns(forces, boundary, inertia, masses.detach().numpy())
+        return EffectSensitivities(forces, boundary, inertia, masses.detach().numpy())
 
     def forces(self, z: Vector) -> Array:
         """External forces (n, N, 3) [N], rounded as ClothParameters.forces rounds the stored values.
@@ -316,16 +317,16 @@ class WindowUnknowns:
         forces = self._masses * acceleration + self._masses_at(z)[:, None] * blown
         if self._value_deviations is None:
             return Perturbation(forces, stiffness, boundary, rest, rest)
-        columns = self.columns(z)
+        sensitivities = self.sensitivities(z)
         change = self._value_deviations * d["effects"]
         return Perturbation(
-            forces + np.tensordot(change, columns.forces, 1),
+            forces + np.tensordot(change, sensitivities.forces, 1),
             stiffness,
-            boundary + np.tensordot(change, columns.boundary, 1),
+            boundary + np.tensordot(change, sensitivities.boundary, 1),
             rest,
             rest,
             values=change[self._terms],
-            inertia=change @ columns.inertia if self._effects.change_inertia else np.zeros(0),
+            inertia=change @ sensitivities.inertia if self._effects.change_inertia else np.zeros(0),
         )
 
     def adjoint(self, z: Vector, gradient: Perturbation) -> Vector:
@@ -341,12 +342,12 @@ class WindowUnknowns:
         if self.priors.wind is not None:
             out["wind"] = self.priors.wind * (self._horizontal @ acceleration.sum((0, 1)))
         if self._value_deviations is not None:
-            columns = self.columns(z)
-            slope = np.tensordot(columns.forces, gradient.forces, 3)
-            slope += np.tensordot(columns.boundary, gradient.boundary, 3)
+            sensitivities = self.sensitivities(z)
+            slope = np.tensordot(sensitivities.forces, gradient.forces, 3)
+            slope += np.tensordot(sensitivities.boundary, gradient.boundary, 3)
             slope[self._terms] += gradient.values
             if self._effects.change_inertia:
-                slope += columns.inertia @ gradient.inertia
+                slope += sensitivities.inertia @ gradient.inertia
             out["effects"] = self._value_deviations * slope
         if len(self._effects) and self.priors.wind is not None:
             pushed = (self._masses_at(z)[:, None] * gradient.forces).sum((0, 1))
@@ -355,7 +356,7 @@ class WindowUnknowns:
 
     def _masses_at(self, z: Vector) -> Array:
         """Masses (N,) [kg] under the effects."""
-        return self._acting_masses if self._value_deviations is None else self.columns(z).masses
+        return self._acting_masses if self._value_deviations is None else self.sensitivities(z).masses
 
     def write(self, z: Vector) -> None:
         """Store the values in the reconstruction's parameters."""
@@ -383,10 +384,10 @@ class WindowUnknowns:
 
 @torch.no_grad()
 def force_change(reconstruction: Reconstruction, values: Array, wind: Array) -> Tensor:
-    """External forces now minus those for other numbers of the effects and wind, (F-1, N, 3).
+    """External forces now minus those for other coefficients of the effects and wind, (F-1, N, 3).
 
     Args:
-        reconstruction: with the numbers and the wind of now.
+        reconstruction: with the coefficients and the wind of now.
         values: of the effects (k,).
         wind: (3,) [m/s²].
 
@@ -396,21 +397,3 @@ def force_change(reconstruction: Reconstruction, values: Array, wind: Array) -> 
     acting = reconstruction.effects.acting(torch.from_numpy(values))
     other = reconstruction.setting(acting, wind=torch.from_numpy(wind)).forces
     return (reconstruction.setting().forces - other) / reconstruction.parameters.units.mass
-
-
-def jacobian_columns(outputs: Tensor, values: Tensor) -> Tensor:
-    """Derivatives (k, ...) of outputs (...) by few values (k,), which they were made of.
-
-    The product of the transposed Jacobian and a vector is linear in the vector; its own derivatives are the
-    columns.
-    """
-    columns = torch.zeros(len(values), *outputs.shape, dtype=outputs.dtype)
-    if not outputs.requires_grad:
-        return columns
-    dummy = torch.zeros_like(outputs, requires_grad=True)
-    (products,) = torch.autograd.grad(outputs, values, dummy, create_graph=True, materialize_grads=True)
-    for column, product in zip(columns, products, strict=True):
-        if product.requires_grad:
-            (found,) = torch.autograd.grad(product, dummy, retain_graph=True, materialize_grads=True)
-            column.copy_(found)
-    return columns

@@ -22,9 +22,11 @@ from torch import Tensor
 
 from toile.geometry.camera import Camera
 from toile.limits import NonNegative, Positive, TwoOrMore, Unit
+from toile.reconstruction.image_terms.image_features import contrast_features
 from toile.reconstruction.image_terms.reference_image import first_frame
 from toile.reconstruction.image_terms.texture_point_kernels import apply_matrices, point_term, sample_features
 from toile.reconstruction.problem import Reconstruction
+from toile.rendering.visibility import visible_points
 from toile.warp_runtime import start_warp, view
 
 Array = NDArray[np.float64]
@@ -33,6 +35,10 @@ Array = NDArray[np.float64]
 _INSIDE = 0.3
 # Mask residuals above this are treated as outliers (holes and frayed edges of real masks).
 _MASK_SCALE = 0.15
+# Two surfaces closer than this are one: bilinear points leave the triangles by about this much [m].
+_VISIBILITY_TOLERANCE = 4e-3
+# Points lie anywhere in their lattice cell.
+_JITTER = 1.0
 
 
 @dataclass(frozen=True)
@@ -92,6 +98,24 @@ def grid_points(grid: tuple[int, int], per_side: int, jitter: float, seed: int) 
     weights = np.stack(((1 - s) * (1 - t), (1 - s) * t, s * (1 - t), s * t), 1)
     border = (a == 0) | (a == height - 1) | (b == 0) | (b == width - 1)
     return TexturePoints(vertices, weights, border)
+
+
+def visible(reconstruction: Reconstruction, points: TexturePoints, positions: Array) -> NDArray[np.float32]:
+    """Visible points (n, P) as 0 or 1 for frame positions (n, N, 3)."""
+    x = torch.from_numpy(positions)
+    camera = reconstruction.scene.camera
+    fragments = reconstruction.renderer.rasterize(x, reconstruction.faces, camera)
+    faces, barycentrics = points.triangle_coordinates(reconstruction.scene.grid)
+    seen = visible_points(
+        fragments,
+        x,
+        reconstruction.faces,
+        camera,
+        torch.from_numpy(faces),
+        torch.from_numpy(barycentrics),
+        _VISIBILITY_TOLERANCE,
+    )
+    return np.asarray(seen.numpy(), np.float32)
 
 
 @dataclass(frozen=True)
@@ -174,6 +198,19 @@ class TexturePointTerm:
         picture = view(reference[None].contiguous().numpy(), wp.vec4)
         inputs = [picture, view(np.ascontiguousarray(pixels), wp.vec2), self._reference]
         wp.launch(sample_features, dim=self.n_points, inputs=inputs, device="cpu")
+
+    @classmethod
+    def of(cls, reconstruction: Reconstruction, settings: PointTermSettings, seed: int) -> TexturePointTerm:
+        """The term of a problem's scene, its points at random places by the seed."""
+        scene, scales = reconstruction.scene, (settings.blur, settings.neighbourhood)
+        return cls(
+            contrast_features(scene.frames, scene.masks, *scales),
+            contrast_features(settings.reference(reconstruction)[None], scene.masks[:1], *scales)[0],
+            scene.camera,
+            grid_points(scene.grid, settings.per_side, _JITTER, seed),
+            reconstruction.template.numpy(),
+            settings,
+        )
 
     def evaluate(
         self, x: Array, first_frame: int, visible: NDArray[np.float32] | None, *, derivatives: bool

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
-from html import escape
-from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from markupsafe import Markup
 from PIL import Image
 
 from toile.atomic_file import write_text
@@ -16,32 +17,27 @@ from toile.diagnosis.record import (
     AMBIGUOUS,
     NONE,
     UNKNOWN,
-    EffectReport,
     Estimate,
     GapReport,
 )
 from toile.effects.catalogue import CATALOGUE
+from toile.reports import diagnosis_wording
 from toile.reports.cloth_fields import ClothField, Upright
 from toile.reports.diagnosis_arrays import DiagnosisArrays, gap_field
 from toile.reports.diagnosis_wording import (
     STAGES,
-    answer,
     beats_placebo,
-    calibration_caveat,
     certainty,
     change,
-    change_between,
     frame_ranges,
-    listed,
     mark,
     percent,
     plain_name,
-    shrinkage,
 )
 from toile.reports.page.charts import field_maps
 from toile.reports.page.diagnosis_charts import alias_matrix, held_out, mean_map, over_time
-from toile.reports.page.document import document, figure, number, section, table, warning_box, with_unit
-from toile.reports.page.viewer import Video, viewer
+from toile.reports.page.document import number, render
+from toile.reports.page.viewer import Video, Viewer
 from toile.reports.run_report import OBSERVED_SIZE, pinned_vertices
 from toile.scenes.scene import Scene
 
@@ -73,22 +69,44 @@ class DiagnosisPage:
 
     def render(self) -> str:
         """The page as HTML text, self-contained."""
-        title = self.name if self.scene is None else self.scene.name
-        style = files(__package__).joinpath("diagnosis.css").read_text(encoding="utf-8")
-        body = [
-            f"<style>{style}</style>",
-            self._answer(title),
-            _pair(
-                section("Where it lies", self._ladder(), note=_LADDER_NOTE),
-                section("How far it shrinks", self._held_out(), note=_HELD_OUT_NOTE),
-            ),
-            section("Which effect", self._ranking(), note=_RANKING_NOTE),
-            *self._on_the_cloth(),
-            self._over_time(),
-            self._alias(),
-            section("How it was made", self._details()),
+        report, arrays, where = self.report, self.arrays, self.report.where
+        effects = sorted(report.effects, key=lambda effect: -effect.probability)
+        # What was refitted is worth a look, however improbable: its held-out error may tell another story.
+        shown = [
+            e for e in effects if e.probability >= LIKELY or e.name in self._chosen or e.shrink is not None
         ]
-        return document(f"{title} diagnosed – toile", body)
+        followed = self._motion is not None and len(self._motion) == len(where.frames)
+        return render(
+            "diagnosis.html.j2",
+            title=self.name if self.scene is None else self.scene.name,
+            report=report,
+            found=report.effect(report.verdict.effect),
+            lead=_around_percentage(certainty(report)),
+            next_recording=_sentence(report.verdict.next_recording),
+            cards=self._cards(),
+            ladder=self._ladder(),
+            chosen=self._chosen,
+            shown=shown or effects[:3],
+            others=[e for e in effects if e not in (shown or effects[:3])],
+            without_effect=self._without_effect(),
+            likely=LIKELY,
+            estimates={e.name: _telling(e.parameters) for e in effects},
+            max_estimates=MAX_ESTIMATES,
+            bounds=_bounds,
+            wording=diagnosis_wording,
+            held_out=held_out(effects, self._chosen),
+            **self._on_the_cloth(),
+            over_time=over_time(where.frames, report.protocol.frames_held_out, cursor=followed),
+            followed=followed,
+            regimes=sorted(where.regimes.items(), key=lambda item: -item[1]),
+            alias_matrix=alias_matrix(report.alias, self._chosen),
+            # Cells that a number fits into; on a narrow screen the matrix is moved sideways.
+            alias_width=CELL_WIDTH * len(report.alias.names) + 120,
+            alike=[[plain_name(n) for n in group] for group in report.alias.classes(ALIKE) if len(group) > 1],
+            limits=self._limits(),
+            facts=self._facts(),
+            config=arrays.config,
+        )
 
     @property
     def _chosen(self) -> tuple[str, ...]:
@@ -106,167 +124,64 @@ class DiagnosisPage:
             return None
         return positions.reshape(len(positions), *scene.grid, 3)
 
-    def _answer(self, title: str) -> str:
-        verdict = self.report.verdict
-        found = self.report.effect(verdict.effect)
-        proof = f" {shrinkage(found.shrink)}" if found is not None and found.shrink is not None else ""
-        lead = f"{_bold(certainty(self.report))}{escape(proof)}"
-        advice = (
-            f'<p class="next"><b>Record next</b>{escape(_sentence(verdict.next_recording))}</p>'
-            if verdict.next_recording
-            else ""
-        )
-        # Caveats stand there: what is not explained, frames that do not count.
-        reason = f'<p class="note">{escape(verdict.reason)}</p>' if verdict.reason else ""
-        caveat = calibration_caveat(self.report)
-        reason += f'<p class="note">{escape(caveat)}</p>' if caveat else ""
-        shown = self._cards()
-        cards = "".join(
-            f'<div class="card"><span class="value">{value}</span>{escape(caption)}</div>'
-            for value, caption in shown
-        )
-        return (
-            f'<header><p class="eyebrow">toile · diagnosis of {escape(title)}</p>'
-            f'<h1 class="answer">{escape(answer(self.report))}</h1>{warning_box(self.report.warnings)}'
-            f'<p class="lead">{lead}</p>{reason}{advice}'
-            f'<div class="cards" style="max-width: {260 * len(shown)}px">{cards}</div></header>'
-        )
-
-    def _cards(self) -> list[tuple[str, str]]:
-        """Values (HTML) with what they are."""
+    def _cards(self) -> list[tuple[str, str, str]]:
+        """Values with their units and what they are."""
         report, verdict = self.report, self.report.verdict
         if verdict.effect == AMBIGUOUS:
-            likely = {e.name: e.probability for e in report.effects if e.name in verdict.candidates}
-            cards = [
-                (escape(percent(p)), f"{plain_name(name)}{mark(report)}")
-                for name, p in list(likely.items())[:4]
-            ]
+            likely = [e for e in report.effects if e.name in verdict.candidates][:4]
+            cards = [(percent(e.probability), "", f"{plain_name(e.name)}{mark(report)}") for e in likely]
         else:
-            cards = [(escape(percent(verdict.probability)), f"probability of this answer{mark(report)}")]
+            cards = [(percent(verdict.probability), "", f"probability of this answer{mark(report)}")]
         if verdict.stage in STAGES:
-            cards.append((escape(verdict.stage), f"stage: {STAGES[verdict.stage]}"))
+            cards.append((verdict.stage, "", f"stage: {STAGES[verdict.stage]}"))
         found = report.effect(verdict.effect)
         if found is not None:
             if found.shrink is not None:
                 claim = "" if beats_placebo(found.shrink) else ", no more than a placebo"
-                cards.append((change(found.shrink.estimate), f"error on {found.shrink.held_out}{claim}"))
+                cards.append((change(found.shrink.estimate), "", f"error on {found.shrink.held_out}{claim}"))
             for name, e in _telling(found.parameters)[:1]:
-                cards.append((_large(e), f"{name}, {_bounds(e)}"))
-        if self.arrays.vertices is not None and len(cards) < 5:
+                unit = "" if e.unit == "1" else e.unit
+                cards.append((number(e.estimate), unit, Markup("{}, {}").format(name, _bounds(e))))
+        if self.arrays.vertices is not None:
             mean = 1e3 * float(self.arrays.vertices.mean())
             what = "mean distance of the base model, left to itself for a few frames, from the tracked cloth"
-            cards.append((f"{number(mean)}<small> mm</small>", f"{what}; errors of tracking are part of it"))
+            cards.append((number(mean), "mm", f"{what}; errors of tracking are part of it"))
         return cards[:5]
 
-    def _ladder(self) -> str:
+    def _ladder(self) -> list[tuple[str, float | None, str]]:
+        """Stages from forces to pixels with their shares, and whether the answer lies there."""
         shares = self.report.where.stages
-        here = {self.report.verdict.stage}
         also = self.report.effect(self.report.verdict.also or "")
-        if also is not None:
-            here.add(also.stage)
-        rungs = []
-        names = [*STAGES, *(name for name in shares if name not in STAGES)]
-        for name in names:
-            share = shares.get(name)
-            kind = "here" if name in here else "absent" if share is None else ""
-            width = 0.0 if share is None else 100 * min(max(share, 0.0), 1.0)
-            value = "–" if share is None else percent(share)
-            rungs.append(
-                f'<li class="{kind}"><span><b>{escape(name)}</b><small>{escape(STAGES.get(name, ""))}</small>'
-                f'</span><span class="bar"><i style="width: {width:.1f}%"></i></span>'
-                f"<output>{escape(value)}</output></li>"
-            )
-        return f'<ol class="ladder">{"".join(rungs)}</ol>' if shares else ""
-
-    def _held_out(self) -> str:
-        return figure(held_out(self._ordered(), self._chosen), "held-out")
-
-    def _ordered(self) -> list[EffectReport]:
-        return sorted(self.report.effects, key=lambda effect: -effect.probability)
-
-    def _ranking(self) -> str:
-        effects = self._ordered()
-        # What was refitted is worth a look, however improbable: its held-out error may tell another story.
-        shown = [
-            e for e in effects if e.probability >= LIKELY or e.name in self._chosen or e.shrink is not None
+        here = {self.report.verdict.stage, *([] if also is None else [also.stage])}
+        names = [*STAGES, *(name for name in shares if name not in STAGES)] if shares else []
+        return [
+            (name, shares.get(name), "here" if name in here else "absent" if name not in shares else "")
+            for name in names
         ]
-        shown = shown or effects[:3]
-        others = [e for e in effects if e not in shown]
-        if not effects:
-            return ""
-        head = (
-            f"<tr><th>effect</th><th class='left'>probability{mark(self.report)}</th>"
-            "<th class='left'>estimates, 90 % intervals</th><th>held-out error</th></tr>"
-        )
-        rows = [self._row(e) for e in shown]
-        rest = max(0.0, 1 - sum(e.probability for e in effects))
-        rows += self._without_effect(rest)
-        ranking = f'<div class="ranking">{table(head, rows)}</div>'
-        if not others:
-            return ranking
-        more = table(head, [self._row(e) for e in others])
-        count = f"{len(others)} other{'s' if len(others) > 1 else ''} below {percent(LIKELY)}"
-        return f'{ranking}<details class="ranking"><summary>{count}</summary>{more}</details>'
 
-    def _row(self, effect: EffectReport) -> str:
+    def _without_effect(self) -> list[tuple[str, float, bool]]:
+        """The hypotheses that are no effects: name, probability as far as known, whether the answer."""
         verdict = self.report.verdict
-        chosen = effect.name in self._chosen
-        tags = []
-        if effect.name in (verdict.effect, verdict.also):
-            tags.append('<span class="tag chosen">the answer</span>')
-        elif effect.name in verdict.candidates:
-            tags.append('<span class="tag chosen">in the 90 % set</span>')
-        if effect.name == self.report.protocol.naive:
-            tags.append('<span class="tag">naive answer</span>')
-        shrink = "–"
-        if effect.shrink is not None:
-            s = effect.shrink
-            doubt = "" if beats_placebo(s) else '<br><span class="tag doubt">within placebo</span>'
-            between = change_between(s.low, s.high)
-            shrink = change(s.estimate) + (f"<br><i>{between}</i>" if between else "") + doubt
-        return (
-            f"<tr{' class=best' if chosen else ''}>"
-            f"<th>{escape(plain_name(effect.name))}<small>{escape(effect.stage)}</small>{' '.join(tags)}</th>"
-            f'<td class="share">{escape(percent(effect.probability))}{_bar(effect.probability, chosen)}</td>'
-            f"<td class='left'>{_estimates(effect.parameters)}</td>"
-            f"<td data-label='held-out error'>{shrink}</td></tr>"
-        )
+        rest = max(0.0, 1 - sum(e.probability for e in self.report.effects))
+        if verdict.effect not in (NONE, UNKNOWN):
+            return [("nothing missing, or outside the catalogue", rest, False)]
+        other = UNKNOWN if verdict.effect == NONE else NONE
+        return [
+            (plain_name(verdict.effect), verdict.probability, True),
+            (plain_name(other), max(0.0, rest - verdict.probability), False),
+        ]
 
-    def _without_effect(self, rest: float) -> list[str]:
-        """Rows of the two hypotheses that are no effects, as far as the report says how probable they are."""
-        verdict = self.report.verdict
-        known = {name: plain_name(name) for name in (NONE, UNKNOWN)}
-        if verdict.effect in known:
-            other = UNKNOWN if verdict.effect == NONE else NONE
-            parts = [(verdict.effect, verdict.probability), (other, max(0.0, rest - verdict.probability))]
-        else:
-            parts = [("", rest)]
-        rows = []
-        for name, probability in parts:
-            chosen = name == verdict.effect
-            tag = ' <span class="tag chosen">the answer</span>' if chosen else ""
-            label = known.get(name, "nothing missing, or outside the catalogue")
-            rows.append(
-                f'<tr class="{"best" if chosen else "rest"}"><th>{label}{tag}</th>'
-                f'<td class="share">{escape(percent(probability))}{_bar(probability, chosen)}</td>'
-                "<td></td><td></td></tr>"
-            )
-        return rows
-
-    def _on_the_cloth(self) -> list[str]:
+    def _on_the_cloth(self) -> dict[str, Any]:
         """Playback and maps, or the map alone where nothing is known of the motion."""
-        motion, scene = self._motion, self.scene
+        motion, scene, mean = self._motion, self.scene, self.arrays.vertices
         if scene is None or motion is None:
-            mean = self.arrays.vertices
-            if mean is None:
-                return []
-            field = ClothField("gap", "Distance", "mm", "", 1e3 * mean[None])
-            return [section("Where on the cloth", figure(mean_map(field, None), "map-gap"), note=_GAP_NOTE)]
+            field = None if mean is None else ClothField("gap", "Distance", "mm", "", 1e3 * mean[None])
+            return {"viewer": None, "gap": field, "gap_map": None if field is None else mean_map(field, None)}
         gap = gap_field(self.arrays, scene.grid, self.report.protocol.frames_held_out)
         if gap is not None and len(gap.values) != len(motion):
             gap = None
         upright = Upright.of(motion[0])
-        shown = viewer(
+        shown = Viewer.of(
             motion,
             scene.fps,
             video=_video(scene, len(motion)),
@@ -275,75 +190,19 @@ class DiagnosisPage:
             fields=[] if gap is None else [gap],
             upright=upright,
         )
-        heading = section("Where on the cloth", shown.replace("reconstructed grid", "tracked grid"))
-        if gap is None:
-            return [heading]
-        chart = field_maps(gap, upright, pinned_vertices(scene))
-        note = f"{escape(gap.note)} Seen as the cloth lies in frame 0; circles are pinned vertices."
-        maps = figure(chart, "map-gap", {"cursors": "1", "field": "gap"})
-        return [heading, section("How far the base model strays", maps, note=note)]
+        chart = None if gap is None else field_maps(gap, upright, pinned_vertices(scene))
+        return {"viewer": shown, "gap": gap, "gap_map": chart}
 
-    def _over_time(self) -> str:
-        where, protocol = self.report.where, self.report.protocol
-        followed = self._motion is not None and len(self._motion) == len(where.frames)
-        chart = over_time(where.frames, protocol.frames_held_out, cursor=followed)
-        largest = max(where.regimes.values(), default=0.0)
-        rows = "".join(
-            f'<tr><th>{escape(name)}</th><td>{number(score)}</td><td style="width: 60%">'
-            f"{_bar(score / largest if largest > 0 else 0.0, score == largest)}</td></tr>"
-            for name, score in sorted(where.regimes.items(), key=lambda item: -item[1])
-        )
-        regimes = f'<div class="ranking"><table><tbody>{rows}</tbody></table></div>' if where.regimes else ""
-        return _pair(
-            section(
-                "When",
-                figure(chart, "over-time", {"cursors": "1"} if followed else None),
-                note="Mean distance of every frame over the median of all, the dotted line.",
-            ),
-            section("In which regime", regimes, note="The same, over parts of the motion."),
-            kind="pair even",
-        )
-
-    def _alias(self) -> str:
-        alias = self.report.alias
-        chart = figure(alias_matrix(alias, self._chosen), "alias")
-        if chart:
-            # Cells that a number fits into; on a narrow screen the matrix is moved sideways.
-            width = CELL_WIDTH * len(alias.names) + 120
-            chart = f'<div class="scroll"><div style="min-width: {width}px">{chart}</div></div>'
-        groups = [group for group in alias.classes(ALIKE) if len(group) > 1]
-        if len(alias.names) < 2:
-            told = ""
-        elif groups:
-            items = "".join(
-                f"<li>{escape(listed([plain_name(n) for n in group], 'and'))}</li>" for group in groups
-            )
-            told = f'<ul class="groups">{items}</ul>'
-        else:
-            told = '<p class="groups">None: every pair leaves traces that differ.</p>'
-        heading = "<h3>Cannot be told apart on this clip</h3>" if told else ""
-        limits = self._limits()
-        return _pair(
-            section("What this clip can tell apart", chart, note=_ALIAS_NOTE),
-            f"<section>{heading}{told}{limits}</section>" if told or limits else "",
-            kind="pair even",
-        )
-
-    def _limits(self) -> str:
-        limits = self.report.alias.detection_limits
-        if not limits:
-            return ""
-        rows = []
-        for name, limit in sorted(limits.items()):
+    def _limits(self) -> list[tuple[str, str, float | None, str]]:
+        """Effect, its parameter, the smallest value that would show (None: none within its bounds), unit."""
+        found = []
+        for name, limit in sorted(self.report.alias.detection_limits.items()):
             parameter = CATALOGUE[name].PARAMETERS[0] if name in CATALOGUE else None
-            what = "" if parameter is None else f" <i>{escape(parameter.name.replace('_', ' '))}</i>"
-            unit = "" if parameter is None else parameter.unit
-            value = "<i>not within its bounds</i>" if limit is None else _value(limit, unit)
-            rows.append(f"<tr><th>{escape(plain_name(name))}{what}</th><td>{value}</td></tr>")
-        head = "<tr><th>effect</th><th>smallest that would show</th></tr>"
-        return f'<h3>Detection limits</h3><div class="limits">{table(head, rows)}</div>'
+            what, unit = ("", "") if parameter is None else (parameter.name.replace("_", " "), parameter.unit)
+            found.append((plain_name(name), what, limit, unit))
+        return found
 
-    def _details(self) -> str:
+    def _facts(self) -> dict[str, str]:
         report, screening = self.report, self.arrays.screening
         facts = {
             "reason": report.verdict.reason,
@@ -365,10 +224,7 @@ class DiagnosisPage:
             if len(screening.costs) > 1:
                 passes = f"{screening.costs[0]:.4g} to {screening.costs[-1]:.4g}"
                 facts["cost of the base fit"] = f"{passes} in {len(screening.costs) - 1} passes"
-        items = "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in facts.items() if v)
-        config = self.arrays.config
-        whole = f"<details><summary>Configuration</summary><pre>{escape(config)}</pre></details>"
-        return f"<dl>{items}</dl>{whole if config else ''}"
+        return {name: value for name, value in facts.items() if value}
 
 
 def write_diagnosis_page(
@@ -411,87 +267,27 @@ def _video(scene: Scene, n_frames: int) -> Video:
     return Video(scene.camera, {"observed": [*pictures, *pictures[-1:] * (n_frames - len(pictures))]})
 
 
-def _pair(left: str, right: str, kind: str = "pair") -> str:
-    """Two sections side by side, or the one that there is."""
-    return f'<div class="{kind}">{left}{right}</div>' if left and right else left + right
-
-
 def _telling(parameters: dict[str, Estimate]) -> list[tuple[str, Estimate]]:
     """Parameters with readable names; those whose interval leaves out 0 come first."""
     known = [(name.replace("_", " "), e) for name, e in parameters.items()]
     return sorted(known, key=lambda item: item[1].low <= 0 <= item[1].high)
 
 
-def _estimates(parameters: dict[str, Estimate]) -> str:
-    cells = [
-        f"<span>{escape(name)}</span><span>{_value(e.estimate, e.unit)}</span><span>{_bounds(e)}</span>"
-        for name, e in _telling(parameters)
-    ]
-    shown = f'<div class="estimates">{"".join(cells[:MAX_ESTIMATES])}</div>' if cells else ""
-    if len(cells) <= MAX_ESTIMATES:
-        return shown
-    rest = f'<div class="estimates">{"".join(cells[MAX_ESTIMATES:])}</div>'
-    return f"{shown}<details><summary>{len(cells) - MAX_ESTIMATES} more</summary>{rest}</details>"
-
-
-def _bounds(estimate: Estimate) -> str:
+def _bounds(estimate: Estimate) -> Markup:
+    """The 90 % interval as HTML."""
     if estimate.low == estimate.high:
         # Pinned there by the sign that it must have: no interval was estimated.
-        return "at its bound"
+        return Markup("at its bound")
     low, high = number(estimate.low), number(estimate.high)
-    return f"{low} to {high}" if low != high else f"± {number(0.5 * (estimate.high - estimate.low))}"
+    return low + " to " + high if low != high else "± " + number(0.5 * (estimate.high - estimate.low))
 
 
-def _large(estimate: Estimate) -> str:
-    """For a card."""
-    unit = "" if estimate.unit == "1" else f"<small> {escape(estimate.unit)}</small>"
-    return number(estimate.estimate) + unit
-
-
-def _value(value: float, unit: str) -> str:
-    return with_unit(value, "" if unit == "1" else unit)
-
-
-def _bar(share: float, chosen: bool) -> str:
-    width = 100 * min(max(share, 0.0), 1.0)
-    return f'<span class="bar{" chosen" if chosen else ""}"><i style="width: {width:.1f}%"></i></span>'
-
-
-def _bold(text: str) -> str:
-    """Escaped, with the first percentage in the colour of results."""
-    before, sign, after = text.partition(" %")
-    head, space, value = before.rpartition(" ")
-    if head.endswith((" >", " <")):
-        head, value = head[:-2], f"{head[-1]} {value}"
-    if not sign:
-        return escape(text)
-    return f'{escape(head + space)}<strong class="value">{escape(value)} %</strong>{escape(after)}'
+def _around_percentage(text: str) -> tuple[str, str, str]:
+    """A text before its first percentage, that percentage, and after it."""
+    found = re.search(r"(?:[<>] )?\S+ %", text)
+    return (text, "", "") if found is None else (text[: found.start()], found[0], text[found.end() :])
 
 
 def _sentence(text: str) -> str:
     text = text.strip()
     return f"{text[:1].upper()}{text[1:]}{'' if text.endswith(('.', '!', '?')) else '.'}"
-
-
-_LADDER_NOTE = (
-    "From forces to pixels. Numerics: what a shorter time step changes, over the base model's distance from "
-    "the tracked cloth. The share of another "
-    "stage is that of its strongest effect in the evidence for a gap; "
-    "a hatched one was not measured."
-)
-_HELD_OUT_NOTE = (
-    "One open simulation over frames that nothing was fitted to. Placebos carry the last residual force on, "
-    "as it is or shuffled over the cloth; only what goes beyond the best of them counts."
-)
-_RANKING_NOTE = (
-    "Probability that the effect is what the model lacks. Beside it, what the effect's numbers would be, "
-    "each with its 90 % interval."
-)
-_GAP_NOTE = (
-    "Distance between the tracked cloth and the base model, left to itself for a few frames. Errors of "
-    "tracking are part of it: it is never zero, whatever the answer."
-)
-_ALIAS_NOTE = (
-    "How alike the traces of two effects are once stiffness, wind and smooth forces have taken their part: "
-    "1 means that this clip cannot tell them apart."
-)

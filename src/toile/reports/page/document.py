@@ -1,4 +1,8 @@
-"""What all pages share: the skeleton with style and scripts, sections, tables, numbers, embedded figures."""
+"""What all pages share: the templates, numbers as HTML, embedded pictures and arrays.
+
+The markup is in ``templates/*.html.j2`` (Jinja2). Whatever is put into a template is escaped there, but for
+what is ``Markup`` already; a name that a template does not find is an error.
+"""
 
 from __future__ import annotations
 
@@ -6,120 +10,63 @@ import base64
 import io
 import json
 import math
-from collections.abc import Mapping, Sequence
-from html import escape
+from functools import cache
 from importlib.resources import files
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import plotly.graph_objects as go
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
 from PIL import Image
 from plotly.offline import get_plotlyjs
 
 from toile.reports import palette
 
-SCRIPTS = ("figures.js", "viewer.js", "table.js", "start.js")
 PICTURE_QUALITY = 62
 """Of WebP: textures stay sharp, and a second of video with three views fits into 5 MB."""
 NARROW_NO_BREAK_SPACE = "\u202f"
 
-_SKELETON = """<!doctype html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta http-equiv="Content-Security-Policy" content="default-src 'none'; script-src 'unsafe-inline'; \
-style-src 'unsafe-inline'; img-src data: blob:">
-<title>{title}</title>
-<link rel="icon" href="data:,">
-<style>{style}</style>
-<script>{plotly}</script>
-</head>
-<body>
-<noscript><p>This page draws its figures with JavaScript, which is switched off here.</p></noscript>
-<main>
-{body}
-</main>
-<script>{scripts}</script>
-</body>
-</html>
-"""
 
-
-def document(title: str, body: Sequence[str]) -> str:
+def render(template: str, **content: Any) -> str:
     """A whole page that needs no network, and that the browser keeps from using one.
 
     Args:
-        title: plain text.
-        body: parts of the page as HTML; empty ones are left out.
+        template: name of a template that extends ``page.html.j2``.
+        content: what the template shows, by name.
     """
-    return _SKELETON.format(
-        title=escape(title),
-        style=_style(),
-        plotly=get_plotlyjs(),
-        body="\n".join(part for part in body if part),
-        scripts="\n".join(_package_text(name) for name in SCRIPTS),
+    return _environment().get_template(template).render(content)
+
+
+@cache
+def _environment() -> Environment:
+    environment = Environment(
+        loader=PackageLoader(__package__),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
+    environment.filters |= {"number": number, "with_unit": with_unit, "picture": picture_address}
+    environment.filters["in_sentence"] = in_sentence
+    environment.tests["finite"] = math.isfinite
+    environment.globals |= {"palette": palette, "asset": _asset, "plotly": lambda: Markup(get_plotlyjs())}
+    environment.policies["json.dumps_function"] = _json
+    environment.policies["json.dumps_kwargs"] = {}
+    return environment
 
 
-def section(title: str, *parts: str, note: str = "") -> str:
-    """A section with its heading (plain text) and a note (HTML), or nothing where all parts are empty."""
-    content = "".join(parts)
-    if not content:
-        return ""
-    below = f'<p class="note">{note}</p>' if note else ""
-    return f"<section><h2>{escape(title)}</h2>{below}{content}</section>"
+def _asset(name: str) -> Markup:
+    """A style sheet or a script of the package."""
+    return Markup(files(__package__).joinpath(name).read_text(encoding="utf-8"))
 
 
-def table(head: str, rows: Sequence[str], *, sortable: bool = False) -> str:
-    """A table from HTML rows; a sortable one sorts by a click on a heading, see table.js."""
-    kind = ' class="sortable"' if sortable else ""
-    body = "".join(rows)
-    return f'<div class="scroll"><table{kind}><thead>{head}</thead><tbody>{body}</tbody></table></div>'
-
-
-def warning_box(lines: Sequence[str]) -> str:
-    """Plain sentences in a box that cannot be overlooked, one a line; nothing without any."""
-    if not lines:
-        return ""
-    return f'<div class="warning" role="alert">{"".join(f"<p>{escape(line)}</p>" for line in lines)}</div>'
-
-
-def data(name: str, content: Any) -> str:
-    """Plain data for the scripts, as an inert element with that id."""
-    # "<" could end the element early; JSON allows it as an escape in any string.
-    text = json.dumps(content, ensure_ascii=False).replace("<", "\\u003c")
-    return f'<script type="application/json" id="{escape(name)}">{text}</script>'
-
-
-def figure(chart: go.Figure | None, name: str, attributes: Mapping[str, str] | None = None) -> str:
-    """A plotly figure, drawn by figures.js when the page is shown.
-
-    Args:
-        chart: with a height of its own, and perhaps a layout for narrow screens (``charts.with_narrow``);
-            None gives nothing.
-        name: unique in the page.
-        attributes: data attributes of its element, for viewer.js.
-    """
-    if chart is None:
-        return ""
-    extra = "".join(f' data-{key}="{escape(value)}"' for key, value in (attributes or {}).items())
-    heights = {"height": chart.layout.height, "narrow-height": _narrow_height(chart)}
-    style = ";".join(f"--{name}:{height}px" for name, height in heights.items() if height is not None)
-    height = f' style="{style}"' if style else ""
-    text = chart.to_json().replace("<", "\\u003c")
-    return (
-        f'<script type="application/json" id="{name}-figure">{text}</script>'
-        f'<div class="plot" id="{name}" data-figure="{name}-figure"{extra}{height}></div>'
-    )
-
-
-def _narrow_height(chart: go.Figure) -> float | None:
-    """Height of a figure on a narrow screen [px], where it has one."""
-    narrow = (chart.layout.meta or {}).get("narrow", {})
-    height: float | None = narrow.get("height")
-    return height
+def _json(content: Any) -> str:
+    """Plain data or a plotly figure as JSON; the filter ``tojson`` makes it safe within a page."""
+    if isinstance(content, go.Figure):
+        return str(content.to_json())
+    return json.dumps(content, ensure_ascii=False)
 
 
 def picture_address(pixels: npt.NDArray[np.uint8], quality: int = PICTURE_QUALITY) -> str:
@@ -134,43 +81,24 @@ def floats(values: npt.NDArray[np.floating]) -> str:
     return base64.b64encode(np.ascontiguousarray(values, dtype="<f4").tobytes()).decode("ascii")
 
 
-def number(value: float) -> str:
+def number(value: float) -> Markup:
     """Three significant digits as HTML, without an exponent where that reads well; a dash for none."""
     if not math.isfinite(value):
-        return "–"
+        return Markup("–")
     if value == 0:
-        return "0"
+        return Markup("0")
     if 1e-3 <= abs(value) < 1e5:
         digits = max(0, 2 - math.floor(math.log10(abs(value))))
-        text = f"{value:.{min(digits, 5)}f}"
-        return text.replace("-", "−")
+        return Markup(f"{value:.{min(digits, 5)}f}".replace("-", "−"))
     mantissa, exponent = f"{value:.2e}".split("e")
-    power = str(int(exponent)).replace("-", "−")
-    return f"{mantissa.replace('-', '−')}·10<sup>{power}</sup>"
+    return Markup(f"{mantissa}·10<sup>{int(exponent)}</sup>".replace("-", "−"))
 
 
-def with_unit(value: float, unit: str) -> str:
+def with_unit(value: float, unit: str) -> Markup:
     """Number and unit as HTML, held together."""
-    return number(value) + (NARROW_NO_BREAK_SPACE + escape(unit) if unit else "")
+    return number(value) + (NARROW_NO_BREAK_SPACE + unit if unit else "")
 
 
 def in_sentence(title: str) -> str:
-    """A title in the middle of a sentence, as HTML: lower case, but for an abbreviation or a name."""
-    return escape(title if title.startswith("L1") else title[:1].lower() + title[1:])
-
-
-def _style() -> str:
-    values = {
-        "font": palette.FONT,
-        "ink": palette.INK,
-        "muted": palette.MUTED,
-        "rule": palette.RULE,
-        "accent": palette.RECONSTRUCTION,
-        "truth": palette.GROUND_TRUTH,
-    }
-    root = "".join(f"--{name}: {value}; " for name, value in values.items())
-    return f":root {{ {root}}}\n{_package_text('page.css')}"
-
-
-def _package_text(name: str) -> str:
-    return files(__package__).joinpath(name).read_text(encoding="utf-8")
+    """A title in the middle of a sentence: lower case, but for an abbreviation or a name."""
+    return title if title.startswith("L1") else title[:1].lower() + title[1:]

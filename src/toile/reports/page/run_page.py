@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from html import escape
 from pathlib import Path
 
 import numpy as np
@@ -18,18 +17,8 @@ from toile.evaluation.evaluate import EvaluationResult, Metric
 from toile.reports.cloth_fields import ClothField, Upright
 from toile.reports.figures import CYCLE
 from toile.reports.page.charts import Panel, field_maps, losses, small_multiples
-from toile.reports.page.document import (
-    document,
-    figure,
-    in_sentence,
-    number,
-    picture_address,
-    section,
-    table,
-    warning_box,
-    with_unit,
-)
-from toile.reports.page.viewer import Video, viewer
+from toile.reports.page.document import number, render
+from toile.reports.page.viewer import Video, Viewer
 
 CARD_METRICS = (
     "chamfer",
@@ -121,145 +110,66 @@ class ResultPage:
 
     def render(self) -> str:
         """The page as HTML text, self-contained."""
-        fields = [f for f in (self.error, self.force) if f is not None]
         upright = Upright.of(self.positions[0])
-        shown = viewer(
-            self.positions,
-            self.fps,
-            video=self.video,
-            shade=self.error,
-            ground_truth=self.ground_truth,
-            fields=fields,
-            upright=upright,
-            times=self.times,
-        )
-        error_title = "Error" if self.error is None else self.error.title
-        body = [
-            self._answer(),
-            shown,
-            section(f"{error_title} on the cloth", self._maps(self.error, upright), note=_note(self.error)),
-            section(
-                "Metrics over time",
-                self._errors(),
-                note="Click into a chart to go to that frame.",
+        fields = [f for f in (self.error, self.force) if f is not None]
+        history, fixed = self._histories()
+        headline = headline_metrics(self.evaluation)
+        panels = self._metrics()
+        frames = np.arange(len(self.positions) if self.evaluation is None else self.evaluation.n_frames)
+        return render(
+            "run.html.j2",
+            page=self,
+            headline=next(iter(headline), None),
+            cards=[(number(m.mean), m.unit, m.title) for m in headline[:MAX_CARDS]],
+            viewer=Viewer.of(
+                self.positions,
+                self.fps,
+                video=self.video,
+                shade=self.error,
+                ground_truth=self.ground_truth,
+                fields=fields,
+                upright=upright,
+                times=self.times,
             ),
-            section(
-                "Stiffness and forces",
-                _parameter_table(self.parameters),
-                self._histories(),
-                note=escape(self.stiffness_note),
-            ),
-            section("Forces on the cloth", self._maps(self.force, upright), note=_note(self.force)),
-            section("All metrics", self._metric_table(), note=self._metric_note()),
-            section("Frames side by side", _pictures(self.pictures)),
-            section("How it was made", self._details()),
-        ]
-        return document(f"{self.scene} – toile", body)
-
-    def _headline(self) -> Metric | None:
-        """The metric that answers "how well"."""
-        return next(iter(headline_metrics(self.evaluation)), None)
-
-    def _answer(self) -> str:
-        F, H, W = self.positions.shape[:3]
-        rate = f"{self.fps:g} per second"
-        if self.times is not None:
-            rate = f"{self.fps:.4g} per second on average"
-        what = (
-            f"{F} frames ({F / self.fps:.2g} s at {rate}) as a {H} × {W} cloth grid "
-            "in metres, from one video."
-        )
-        metric = self._headline()
-        if metric is None:
-            lead = f"Reconstructed {what} Nothing is known of the true motion, so no error can be given."
-            how = ""
-        else:
-            against = "" if metric.key == "silhouette_iou" else " against ground truth"
-            value = f'<strong class="value">{with_unit(metric.mean, metric.unit)}</strong>'
-            lead = f"Reconstructed {what} Mean {in_sentence(metric.title)}{against}: {value}."
-            protocol = escape(metric.protocol[:1].upper() + metric.protocol[1:])
-            how = f'<p class="protocol"><b>How it was measured.</b> {protocol}.</p>'
-        cards = "".join(
-            f'<div class="card"><span class="value">{number(m.mean)}'
-            f"<small>{' ' + escape(m.unit) if m.unit else ''}</small></span>{escape(m.title)}</div>"
-            for m in headline_metrics(self.evaluation)[:MAX_CARDS]
-        )
-        row = f'<div class="cards">{cards}</div>' if cards else ""
-        return (
-            '<header><p class="eyebrow">toile · reconstruction of a cloth</p>'
-            f"<h1>{escape(self.scene)}</h1>{warning_box(self.warnings)}"
-            f'<p class="lead">{lead}</p>{row}{how}</header>'
+            maps={shown.key: field_maps(shown, upright, self._pinned()) for shown in fields},
+            panels=panels,
+            metrics=small_multiples(panels, frames.astype(float), "frame", cursors=True) if panels else None,
+            parameters=self._parameters(),
+            history=history,
+            fixed=fixed,
+            losses=self._losses(),
         )
 
-    def _maps(self, shown: ClothField | None, upright: Upright) -> str:
-        if shown is None:
-            return ""
-        pinned = np.zeros(shown.values.shape[1:], dtype=bool) if self.pinned is None else self.pinned
-        chart = field_maps(shown, upright, pinned)
-        return figure(chart, f"map-{shown.key}", {"cursors": "1", "field": shown.key})
+    def _pinned(self) -> npt.NDArray[np.bool_]:
+        return np.zeros(self.positions.shape[1:3], dtype=bool) if self.pinned is None else self.pinned
 
-    def _errors(self) -> str:
-        if self.evaluation is None:
-            return ""
-        metrics = [m for m in self.evaluation.metrics.values() if not math.isnan(m.mean)]
-        if not metrics:
-            return ""
-        panels = [Panel(m.title, m.unit, m.per_frame) for m in metrics]
-        frames = np.arange(self.evaluation.n_frames, dtype=np.float64)
-        chart = small_multiples(panels, frames, "frame", cursors=True)
-        return figure(chart, "errors", {"cursors": str(len(panels))})
+    def _metrics(self) -> list[Panel]:
+        """Every metric over time."""
+        metrics = [] if self.evaluation is None else self.evaluation.metrics.values()
+        return [Panel(m.title, m.unit, m.per_frame) for m in metrics if not math.isnan(m.mean)]
 
-    def _metric_note(self) -> str:
-        return "" if self.evaluation is None else f"Sampling seed {self.evaluation.seed}."
+    def _parameters(self) -> dict[str, list[ReportedParameter]]:
+        """By name: the same quantity in several units stands side by side."""
+        named: dict[str, list[ReportedParameter]] = {}
+        for p in self.parameters:
+            named.setdefault(p.name, []).append(p)
+        return named
 
-    def _metric_table(self) -> str:
-        if self.evaluation is None:
-            return ""
-        rows = []
-        for m in self.evaluation.metrics.values():
-            worst = m.worst_frame
-            at = "–" if worst is None else f"{number(float(m.per_frame[worst]))} <i>frame {worst}</i>"
-            rows.append(
-                f"<tr><th>{escape(m.title)}</th><td>{number(m.mean)}</td>"
-                f"<td class='left'>{escape(m.unit)}</td><td data-label='worst'>{at}</td>"
-                f"<td class='text'>{escape(m.protocol)}</td></tr>"
-            )
-        for key, reason in self.evaluation.skipped.items():
-            name = key.replace("_", " ")
-            name = escape(name[:1].upper() + name[1:])
-            rows.append(
-                f"<tr class='skipped'><th>{name}</th><td>–</td><td></td><td></td>"
-                f"<td class='text'>not measured: {escape(reason)}</td></tr>"
-            )
-        columns = "<th>metric</th><th>mean</th><th class='left'>unit</th><th>worst</th>"
-        return table(f"<tr>{columns}<th class='text'>protocol</th></tr>", rows)
-
-    def _histories(self) -> str:
-        if self.history is None or self.history.empty or not self.history_units:
-            return ""
-        panels, fixed = [], []
-        for name, unit in self.history_units.items():
-            values = self.history[name].to_numpy(float)
-            if np.ptp(values) > 0 or len(values) == 1:
-                panels.append(Panel(name, unit, values))
-            else:
-                fixed.append(f"{escape(name)} = {number(float(values[0]))}")
-        note = f'<p class="note">The same in every cycle: {", ".join(fixed)}.</p>' if fixed else ""
+    def _histories(self) -> tuple[go.Figure | None, dict[str, float]]:
+        """Parameters over the optimisation, and those that are the same in every cycle."""
+        if self.history is None or self.history.empty:
+            return None, {}
+        values = {name: self.history[name].to_numpy(float) for name in self.history_units}
+        moving = {name: v for name, v in values.items() if np.ptp(v) > 0 or len(v) == 1}
+        panels = [Panel(name, self.history_units[name], v) for name, v in moving.items()]
         chart = small_multiples(panels, _cycles(self.history), "cycle") if panels else None
-        return "<h3>Over the optimisation</h3>" + note + figure(chart, "histories")
+        return chart, {name: float(v[0]) for name, v in values.items() if name not in moving}
 
     def _losses(self) -> go.Figure | None:
         if self.history is None or self.history.empty or not self.loss_columns:
             return None
         columns = {name: self.history[name].to_numpy(float) for name in self.loss_columns}
         return losses(columns, _cycles(self.history))
-
-    def _details(self) -> str:
-        items = "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in self.facts.items())
-        facts = f"<dl>{items}</dl>" if items else ""
-        chart = figure(self._losses(), "losses")
-        config = f"<details><summary>Configuration</summary><pre>{escape(self.config)}</pre></details>"
-        return facts + chart + (config if self.config else "")
 
 
 def write_result_page(page: ResultPage, path: Path) -> Path:
@@ -273,43 +183,6 @@ def headline_metrics(evaluation: EvaluationResult | None) -> list[Metric]:
         return []
     found = [evaluation.metrics[k] for k in CARD_METRICS if k in evaluation.metrics]
     return [m for m in found if not math.isnan(m.mean)]
-
-
-def _note(shown: ClothField | None) -> str:
-    if shown is None:
-        return ""
-    turned = "Seen as the cloth lies in the first frame; circles are pinned vertices."
-    return f"{escape(shown.note)} {turned}"
-
-
-def _pictures(pictures: Sequence[PagePicture]) -> str:
-    return "".join(
-        f'<div class="strip"><img alt="{escape(p.caption)}" src="{picture_address(p.pixels)}"></div>'
-        for p in pictures
-    )
-
-
-def _parameter_table(parameters: Sequence[ReportedParameter]) -> str:
-    """One row per name; the same quantity in several units stands side by side."""
-    named: dict[str, list[ReportedParameter]] = {}
-    for p in parameters:
-        named.setdefault(p.name, []).append(p)
-    if not named:
-        return ""
-    columns = max(map(len, named.values()))
-    rows = []
-    for name, found in named.items():
-        cells = []
-        for p in found:
-            value = escape(p.value) if isinstance(p.value, str) else number(p.value)
-            cells.append(f"<td>{value}</td><td class='left'>{escape(p.unit)}</td>")
-        cells += ["<td></td><td></td>"] * (columns - len(found))
-        note = "; ".join(dict.fromkeys(escape(p.note) for p in found if p.note))
-        cells.append(f"<td class='text'>{note}</td>" if any(p.note for p in parameters) else "")
-        rows.append(f"<tr><th>{escape(name)}</th>{''.join(cells)}</tr>")
-    head = "<th>value</th><th class='left'>unit</th>" + "<th></th><th></th>" * (columns - 1)
-    last = "<th class='text'>note</th>" if any(p.note for p in parameters) else ""
-    return table(f"<tr><th>parameter</th>{head}{last}</tr>", rows)
 
 
 def _cycles(history: pd.DataFrame) -> npt.NDArray[np.float64]:

@@ -30,6 +30,7 @@ from toile.generation.out_of_family.simulation import simulate_out_of_family
 from toile.generation.simulation import Sheet
 from toile.physics.cloth import grid_material
 from toile.physics.implicit.newton import NewtonSettings
+from toile.physics.simulator import SimulationError
 
 SETUP = OutOfFamilySettings(
     grid=(7, 7),
@@ -43,6 +44,7 @@ SETUP = OutOfFamilySettings(
     blur_samples=3,
     templates=(),
 )
+NEWTON = NewtonSettings(tolerance=1e-6)
 GRID, SIZE, FPS, N = (5, 6), (0.4, 0.5), 25.0, 7
 
 
@@ -54,7 +56,7 @@ def sheet() -> Sheet:
     return Sheet.of(pose, SIZE, 0.15, (0, (GRID[0] - 1) * GRID[1]), material)
 
 
-def simulated(*effects) -> torch.Tensor:
+def simulated(*effects, newton: NewtonSettings = NEWTON) -> torch.Tensor:
     motion = simulate_out_of_family(
         sheet(),
         effects,
@@ -64,7 +66,7 @@ def simulated(*effects) -> torch.Tensor:
         n_frames=N,
         fps=FPS,
         substeps=4,
-        newton=NewtonSettings(tolerance=1e-6),
+        newton=newton,
     )
     return motion[::4]
 
@@ -97,6 +99,11 @@ def test_effects_that_move_the_cloth(name, twin, reference) -> None:
     assert gaps[0] < 1e-7
     assert gaps[2] > 1e-6
     assert gaps[2] > gaps[0]
+
+
+def test_a_step_that_fails_says_what_to_try() -> None:
+    with pytest.raises(SimulationError, match=r"frame 1, .*another seed"):
+        simulated(newton=NewtonSettings(tolerance=1e-12, max_iterations=1))
 
 
 def test_drag_takes_energy(twin, reference) -> None:

@@ -11,9 +11,9 @@ import pytest
 import torch
 from lightning import Callback, Trainer
 
-from toile.learning.fit.callbacks.checkpoint import CycleCheckpoint
 from toile.learning.fit.callbacks.progress import FitProgress
-from toile.learning.fit.module import Cycles, FitModule
+from toile.learning.fit.module import CyclesOfFit, FitModule
+from toile.learning.last_checkpoint import LastCheckpoint
 from toile.reconstruction.adam import SuccessiveFramesAdam
 from toile.reconstruction.problem import Reconstruction
 
@@ -44,14 +44,14 @@ def fit(module: FitModule, *callbacks: Callback, checkpoint: Path | None = None)
         accelerator="cpu",
         devices=1,
         max_epochs=1,
-        enable_checkpointing=False,
+        enable_checkpointing=any(isinstance(c, LastCheckpoint) for c in callbacks),
         enable_progress_bar=False,
         enable_model_summary=False,
         logger=False,
         log_every_n_steps=1,
         callbacks=list(callbacks),
     )
-    trainer.fit(module, Cycles(module), ckpt_path=checkpoint, weights_only=True)
+    trainer.fit(module, datamodule=CyclesOfFit(module), ckpt_path=checkpoint, weights_only=True)
     return module
 
 
@@ -88,7 +88,7 @@ def test_a_resumed_fit_is_bit_identical(
     stop: int, spoil: bool, problem: MakeProblem, adam: MakeAdam, tmp_path: Path
 ) -> None:
     whole = fit(FitModule(problem(), adam(), 0))
-    saving = CycleCheckpoint(tmp_path, every=3)
+    saving = LastCheckpoint(tmp_path, every=3, save_on_exception=True)
     with pytest.raises(StoppedError):
         fit(FitModule(problem(), adam(), 0), saving, StopAt(stop, spoil))
     resumed = fit(FitModule(problem(), adam(), 0), checkpoint=saving.path)
@@ -99,7 +99,7 @@ def test_a_resumed_fit_is_bit_identical(
 def test_resuming_from_a_regular_checkpoint(problem: MakeProblem, adam: MakeAdam, tmp_path: Path) -> None:
     # As after a crash that left no time for a last one.
     whole = fit(FitModule(problem(), adam(), 0))
-    saving = CycleCheckpoint(tmp_path, every=3)
+    saving = LastCheckpoint(tmp_path, every=3, save_on_exception=True)
     saving.on_exception = lambda *_: None  # type: ignore[method-assign]
     with pytest.raises(StoppedError):
         fit(FitModule(problem(), adam(), 0), saving, StopAt(8, spoil=False))
@@ -110,7 +110,7 @@ def test_resuming_from_a_regular_checkpoint(problem: MakeProblem, adam: MakeAdam
 def test_resuming_a_finished_fit_changes_nothing(
     problem: MakeProblem, adam: MakeAdam, tmp_path: Path
 ) -> None:
-    saving = CycleCheckpoint(tmp_path, every=5)
+    saving = LastCheckpoint(tmp_path, every=5)
     whole = fit(FitModule(problem(), adam(), 0), saving)
     assert_identical(fit(FitModule(problem(), adam(), 0), checkpoint=saving.path), whole)
 
@@ -118,7 +118,7 @@ def test_resuming_a_finished_fit_changes_nothing(
 def test_checkpoints_are_plain_data_and_complete(
     problem: MakeProblem, adam: MakeAdam, tmp_path: Path
 ) -> None:
-    saving = CycleCheckpoint(tmp_path, every=5)
+    saving = LastCheckpoint(tmp_path, every=5)
     module = fit(FitModule(problem(), adam(), 7), saving)
     assert [path.name for path in tmp_path.iterdir()] == ["last.ckpt"]
     checkpoint = torch.load(saving.path, weights_only=True)

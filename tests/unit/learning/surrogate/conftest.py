@@ -71,6 +71,6 @@ def make_training() -> Callable[..., SurrogateTraining]:
     def make(seed: int = 0, **changes: Any) -> SurrogateTraining:
         settings = replace(TRAINING, **changes)
         torch.manual_seed(seed)
-        return SurrogateTraining(Surrogate(settings.widths), settings, seed)
+        return SurrogateTraining(Surrogate(settings.widths), settings)
 
     return make

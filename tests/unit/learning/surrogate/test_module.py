@@ -19,15 +19,17 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from tensorboard.plugins.custom_scalar.layout_pb2 import Layout
 
 from toile.errors import InputError
+from toile.learning.checkpoints import LAST
+from toile.learning.last_checkpoint import LastCheckpoint
 from toile.learning.quiet import quiet_lightning
-from toile.learning.surrogate.callbacks.checkpoint import StepCheckpoint
+from toile.learning.surrogate.average import AverageSurrogate
+from toile.learning.surrogate.batches import PoolBatches
 from toile.learning.surrogate.callbacks.progress import EpochLines
 from toile.learning.surrogate.callbacks.stopping import StopBetweenSteps
-from toile.learning.surrogate.callbacks.tensorboard import CurveLogger, PictureLogger
+from toile.learning.surrogate.callbacks.tensorboard import DashboardLayout, PictureLogger
 from toile.learning.surrogate.module import SurrogateTraining
 from toile.learning.surrogate.resets import ResetRules
 from toile.learning.surrogate.schedules import RolloutLength
-from toile.learning.surrogate.steps import Steps
 from toile.physics.surrogate.surrogate import Surrogate
 
 MakeTraining = Callable[..., SurrogateTraining]
@@ -65,22 +67,31 @@ class InterruptFirst(Interrupt):
 
 
 def train(
-    module: SurrogateTraining, *callbacks: Callback, checkpoint: Path | None = None, **trainer: Any
+    module: SurrogateTraining,
+    *callbacks: Callback,
+    checkpoint: Path | None = None,
+    seed: int = 0,
+    **trainer: Any,
 ) -> SurrogateTraining:
+    """Train; the module is left with the averaged network, which is what a training gives."""
     quiet_lightning()
     settings = {
         "accelerator": "cpu",
         "devices": 1,
-        "max_epochs": 1,
-        "enable_checkpointing": False,
+        "max_epochs": module.settings.epochs,
+        "num_sanity_val_steps": 0,
+        "enable_checkpointing": any(isinstance(c, LastCheckpoint) for c in callbacks),
         "enable_progress_bar": False,
         "enable_model_summary": False,
         "logger": False,
         "log_every_n_steps": 1,
     }
-    Trainer(**{**settings, **trainer}, callbacks=list(callbacks)).fit(
-        module, Steps(module), ckpt_path=checkpoint, weights_only=True
+    average = AverageSurrogate(module.settings.average_decay)
+    Trainer(**{**settings, **trainer}, callbacks=[average, *callbacks]).fit(
+        module, datamodule=PoolBatches(module.settings, seed), ckpt_path=checkpoint, weights_only=True
     )
+    if "strategy" not in trainer:  # other processes keep theirs to themselves
+        module.surrogate = average.surrogate
     return module
 
 
@@ -91,23 +102,25 @@ def without_times(history: list[dict[str, float]]) -> list[dict[str, float]]:
 def assert_identical(a: SurrogateTraining, b: SurrogateTraining) -> None:
     for name, value in a.state_dict().items():
         assert torch.equal(value, b.state_dict()[name]), name
-    for name, tensor in a.running_pool.states.tensors().items():
-        assert torch.equal(tensor, b.running_pool.states.tensors()[name]), name
-    assert torch.equal(a.running_pool.generator.get_state(), b.running_pool.generator.get_state())
+    for name, tensor in a.pool.states.tensors().items():
+        assert torch.equal(tensor, b.pool.states.tensors()[name]), name
+    assert torch.equal(a.pool.generator.get_state(), b.pool.generator.get_state())
     assert without_times(a.history) == without_times(b.history)
 
 
-def test_a_training_changes_weights_average_and_pool(make_training: MakeTraining) -> None:
+def test_a_training_changes_weights_average_and_pool(make_training: MakeTraining, tmp_path: Path) -> None:
     module = make_training()
     before = {name: value.clone() for name, value in module.surrogate.state_dict().items()}
-    train(module)
+    train(module, saving := LastCheckpoint(tmp_path, every=100))
     assert module.finished
     assert module.steps_done == 9
-    now, average = module.surrogate.state_dict(), module.average.surrogate.state_dict()
+    average = module.surrogate.state_dict()
+    last = torch.load(saving.path, weights_only=True)["current_model_state"]
+    now = {name: last[f"surrogate.{name}"] for name in before}
     assert any(not torch.equal(before[name], now[name]) for name in before)
     assert any(not torch.equal(average[name], now[name]) for name in before)
     assert any(not torch.equal(average[name], before[name]) for name in before)
-    assert module.running_pool.states.age.max() > 0
+    assert module.pool.states.age.max() > 0
     assert [row["steps"] for row in module.history] == [3, 6, 9]
     row = module.history[-1]
     assert all(math.isfinite(value) for value in row.values())
@@ -120,7 +133,7 @@ def test_a_cloth_gets_no_older_than_the_rollout(make_training: MakeTraining) -> 
     class Ages(Callback):
         def on_train_batch_end(self, trainer: Any, pl_module: Any, *_: Any) -> None:
             length = pl_module.settings.rollout_length.at(pl_module.steps_done - 1, 9)
-            assert pl_module.running_pool.states.age.max() < length
+            assert pl_module.pool.states.age.max() < length
 
     module = train(make_training(rollout_length=RolloutLength(2, 3, 1.0)), Ages())
     assert sum(row["resets/old"] for row in module.history) > 0
@@ -128,7 +141,7 @@ def test_a_cloth_gets_no_older_than_the_rollout(make_training: MakeTraining) -> 
 
 def test_what_cannot_be_solved_is_reset(make_training: MakeTraining) -> None:
     module = train(make_training(resets=ResetRules(0.0, 0.0, 200.0, 0.0), rollout_length=None))
-    assert module.running_pool.states.age.max() == 0
+    assert module.pool.states.age.max() == 0
     assert module.history[0]["resets/diverged"] == 4
 
 
@@ -160,26 +173,26 @@ def test_an_interrupted_training_continues_bit_for_bit(
 ) -> None:
     whole = train(make_training())
     handler = signal.getsignal(signal.SIGINT)
-    stopping, saving = StopBetweenSteps(None), StepCheckpoint(tmp_path, every=100)
+    stopping, saving = StopBetweenSteps(None), LastCheckpoint(tmp_path, every=100)
     half = train(make_training(), Interrupt(stop - 1), stopping, saving)
     assert stopping.interrupted
     assert half.steps_done == stop
     assert signal.getsignal(signal.SIGINT) is handler
-    resumed = train(make_training(seed=5), checkpoint=saving.path)
+    resumed = train(make_training(seed=5), seed=5, checkpoint=saving.path)
     assert resumed.steps_done == 9
     assert_identical(resumed, whole)
 
 
 def test_a_crash_continues_from_the_last_checkpoint(make_training: MakeTraining, tmp_path: Path) -> None:
-    whole, saving = train(make_training()), StepCheckpoint(tmp_path, every=2)
+    whole, saving = train(make_training()), LastCheckpoint(tmp_path, every=2)
     with pytest.raises(StoppedError):
         train(make_training(), StopBetweenSteps(None), saving, Crash(5))
-    assert torch.load(saving.path, weights_only=True)["toile_training"]["steps_done"] == 4
+    assert torch.load(saving.path, weights_only=True)["global_step"] == 4
     assert_identical(train(make_training(), checkpoint=saving.path), whole)
 
 
 def test_time_counts_over_resumes(make_training: MakeTraining, tmp_path: Path) -> None:
-    saving, stopping = StepCheckpoint(tmp_path, every=100), StopBetweenSteps(0.0)
+    saving, stopping = LastCheckpoint(tmp_path, every=100), StopBetweenSteps(0.0)
     first = train(make_training(), stopping, saving)
     assert (first.steps_done, stopping.out_of_time, stopping.interrupted) == (1, True, False)
     second = train(make_training(), StopBetweenSteps(0.0), saving, checkpoint=saving.path)
@@ -188,7 +201,7 @@ def test_time_counts_over_resumes(make_training: MakeTraining, tmp_path: Path) -
 
 
 def test_continuing_a_finished_training_changes_nothing(make_training: MakeTraining, tmp_path: Path) -> None:
-    saving = StepCheckpoint(tmp_path, every=100)
+    saving = LastCheckpoint(tmp_path, every=100)
     whole = train(make_training(), saving)
     assert [path.name for path in tmp_path.iterdir()] == ["last.ckpt"]
     assert_identical(train(make_training(), checkpoint=saving.path), whole)
@@ -196,7 +209,7 @@ def test_continuing_a_finished_training_changes_nothing(make_training: MakeTrain
 
 def test_bfloat16_leaves_positions_alone(make_training: MakeTraining) -> None:
     module = train(make_training(), precision="bf16-mixed")
-    assert module.running_pool.states.history.dtype == torch.float64
+    assert module.pool.states.history.dtype == torch.float64
     assert all(p.dtype == torch.float32 for p in module.surrogate.parameters())
     assert all(math.isfinite(value) for value in module.history[-1].values())
 
@@ -208,7 +221,14 @@ def test_tensorboard_and_lines(
 
     logger = TensorBoardLogger(tmp_path, name="", version="")
     with caplog.at_level("INFO", logger="toile"):
-        train(make_training(), CurveLogger(2), PictureLogger(2), EpochLines(), logger=logger)
+        train(
+            make_training(),
+            DashboardLayout(),
+            PictureLogger(2),
+            EpochLines(),
+            logger=logger,
+            log_every_n_steps=2,
+        )
     lines = [r.message.split(":")[0] for r in caplog.records]
     assert lines == [f"epoch {k} of 3" for k in (1, 2, 3)]
     events = EventAccumulator(str(tmp_path))
@@ -226,6 +246,17 @@ def test_tensorboard_and_lines(
     assert "validation rollout" in tags["images"]
 
 
+@pytest.mark.parametrize(
+    ("setting", "value"),
+    [("max_epochs", 1), ("max_steps", 5), ("accumulate_grad_batches", 2), ("gradient_clip_val", 0.5)],
+)
+def test_the_trainer_must_not_change_what_is_counted(
+    setting: str, value: float, make_training: MakeTraining
+) -> None:
+    with pytest.raises(InputError, match=f"trainer.{setting}"):
+        train(make_training(), **{setting: value})
+
+
 def test_a_batch_must_fit_into_the_pool(make_training: MakeTraining) -> None:
     with pytest.raises(InputError, match=r"training\.batch_size"):
         make_training(batch_size=9)
@@ -238,13 +269,13 @@ class KeepResults(Callback):
         self.folder = folder
 
     def on_train_end(self, trainer: Any, pl_module: Any) -> None:
-        result = {"weights": pl_module.surrogate.state_dict(), "pool": pl_module.running_pool.state_dict()}
+        result = {"weights": pl_module.surrogate.state_dict(), "pool": pl_module.pool.state_dict()}
         torch.save(result, self.folder / f"{pl_module.global_rank}.pt")
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="starts the processes by forking")
 def test_two_processes_share_weights_but_no_cloths(make_training: MakeTraining, tmp_path: Path) -> None:
-    saving = StepCheckpoint(tmp_path / "checkpoint", every=100)
+    saving = LastCheckpoint(tmp_path / "checkpoint", every=100)
     strategy = DDPStrategy(start_method="fork", process_group_backend="gloo")
     module = make_training(epochs=1, steps_per_epoch=2, batch_size=4)
     train(module, saving, KeepResults(tmp_path), devices=2, strategy=strategy)
@@ -253,9 +284,9 @@ def test_two_processes_share_weights_but_no_cloths(make_training: MakeTraining, 
         assert torch.equal(value, b["weights"][name]), name
     assert len(a["pool"]["states"]["age"]) == 4
     assert not torch.equal(a["pool"]["states"]["stiffness"], b["pool"]["states"]["stiffness"])
-    pools = torch.load(saving.path, weights_only=True)["toile_training"]["pools"]
-    assert len(pools) == 2
-    for stored, result in zip(pools, (a, b), strict=True):
+    stored_pools = torch.load(saving.path, weights_only=True)["PoolBatches"]["pools"]
+    assert len(stored_pools) == 2
+    for stored, result in zip(stored_pools, (a, b), strict=True):
         assert torch.equal(stored["states"]["history"], result["pool"]["states"]["history"])
 
 
@@ -264,7 +295,7 @@ def test_two_processes_stop_together_and_continue_bit_for_bit(
     make_training: MakeTraining, tmp_path: Path
 ) -> None:
     def run(folder: str, *callbacks: Callback, checkpoint: Path | None = None) -> dict[str, Any]:
-        saving = StepCheckpoint(tmp_path / folder, every=100)
+        saving = LastCheckpoint(tmp_path / folder, every=100)
         strategy = DDPStrategy(start_method="fork", process_group_backend="gloo")
         module = make_training(epochs=2, steps_per_epoch=2)
         train(module, *callbacks, saving, checkpoint=checkpoint, devices=2, strategy=strategy)
@@ -273,12 +304,11 @@ def test_two_processes_stop_together_and_continue_bit_for_bit(
 
     whole = run("whole")
     half = run("half", InterruptFirst(1), StopBetweenSteps(None))
-    assert half["toile_training"]["steps_done"] == 2
-    resumed = run("half", checkpoint=tmp_path / "half" / StepCheckpoint.NAME)
-    assert resumed["toile_training"]["steps_done"] == 4
+    assert half["global_step"] == 2
+    resumed = run("half", checkpoint=tmp_path / "half" / LAST)
+    assert resumed["global_step"] == 4
     for name, value in whole["state_dict"].items():
         assert torch.equal(value, resumed["state_dict"][name]), name
-    pools = (stored["toile_training"]["pools"] for stored in (whole, resumed))
-    for a, b in zip(*pools, strict=True):
+    for a, b in zip(whole["PoolBatches"]["pools"], resumed["PoolBatches"]["pools"], strict=True):
         for name, tensor in a["states"].items():
             assert torch.equal(tensor, b["states"][name]), name

@@ -1,1 +1,1 @@
-"""What happens beside the cycles of a fit: checkpoints, progress, TensorBoard."""
+"""What happens beside the cycles of a fit: Chamfer distance, progress, TensorBoard."""

@@ -10,8 +10,7 @@ from lightning import Callback, LightningModule, Trainer
 from lightning.pytorch.loggers import TensorBoardLogger
 
 from toile.learning.fit.callbacks.chamfer import CHAMFER_TAG, ChamferLogger
-from toile.learning.fit.callbacks.tensorboard import scalar_tag
-from toile.learning.fit.module import PER_FRAME, FitModule
+from toile.learning.fit.module import PER_FRAME, FitModule, scalar_tag
 from toile.reconstruction.parameters import ClothParameters
 
 Layout = dict[str, dict[str, list[Any]]]

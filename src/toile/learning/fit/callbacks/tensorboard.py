@@ -1,4 +1,4 @@
-"""TensorBoard: curves after every cycle, pictures and the mesh now and then."""
+"""TensorBoard: pictures and the mesh now and then."""
 
 from __future__ import annotations
 
@@ -26,20 +26,6 @@ _OBSERVED_ONLY, _RENDERED_ONLY, _BOTH = (0.85, 0.45, 0.05), (0.06, 0.38, 0.67), 
 # TensorBoard shows y up and looks along -z.
 _TO_TENSORBOARD = torch.tensor([1.0, -1.0, -1.0])
 _MAX_POINTS = 4000  # of a cloud, in the browser
-
-
-@final
-class CurveLogger(Callback):
-    """Sends every row of the history to whatever loggers there are."""
-
-    def on_train_batch_end(
-        self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
-    ) -> None:
-        """Log the last row under ``fit/``."""
-        assert isinstance(pl_module, FitModule)
-        numbers = {scalar_tag(k): v for k, v in pl_module.history[-1].items() if k != "cycle"}
-        for logger in trainer.loggers:
-            logger.log_metrics(numbers, step=pl_module.cycles_done - 1)
 
 
 @final
@@ -91,12 +77,6 @@ class PictureLogger(Callback):
                 if points is not None and f not in self._with_truth:
                     writer.add_mesh(f"{TRUTH}/frame {f:03d}", _shown(points), global_step=done - 1)
             self._with_truth.add(f)
-
-
-def scalar_tag(column: str) -> str:
-    """Tag of a column of the history: its name without what TensorBoard does not allow in tags."""
-    name = column.replace("²", "2").replace(" [", "_").replace("]", "").replace(" ", "_").replace("/s", "_s")
-    return f"fit/{name}"
 
 
 def spread_frames(total: int, n: int) -> list[int]:

@@ -1,1 +1,1 @@
-"""What happens beside the steps of a training run: stopping, checkpoints, progress, TensorBoard."""
+"""What happens beside the steps of a training run: stopping, progress, TensorBoard."""

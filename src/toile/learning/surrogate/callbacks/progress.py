@@ -5,44 +5,36 @@ from __future__ import annotations
 import logging
 from typing import Any, final
 
-from lightning import Callback, LightningModule, Trainer
+from lightning import LightningModule, Trainer
 
+from toile.learning.progress import ProgressShown
 from toile.learning.surrogate.module import SurrogateTraining
-from toile.progress import Shown
 
 log = logging.getLogger(__name__)
 
 
 @final
-class EpochLines(Callback):
+class EpochLines(ProgressShown):
     """One line per epoch; in between a bar on a terminal, and a line every ten seconds elsewhere."""
 
     def __init__(self) -> None:
-        self._shown: Shown | None = None
+        super().__init__(log, leave=False)
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Begin to count."""
-        assert isinstance(pl_module, SurrogateTraining)
-        if trainer.is_global_zero:
-            self._shown = Shown(log).__enter__()
-            self._shown("step", pl_module.steps_done, pl_module.settings.n_steps)
-
-    def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Take the bar away."""
-        self._stop()
-
-    def on_exception(self, trainer: Trainer, pl_module: LightningModule, exception: BaseException) -> None:
-        """Take the bar away."""
-        self._stop()
+        super().on_train_start(trainer, pl_module)
+        self._count(pl_module)
 
     def on_train_batch_end(
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
     ) -> None:
-        """Write the line after the last step of an epoch."""
+        """Move the bar."""
+        self._count(pl_module)
+
+    def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Write the line of the epoch."""
         assert isinstance(pl_module, SurrogateTraining)
-        if self._shown is not None:
-            self._shown("step", pl_module.steps_done, pl_module.settings.n_steps)
-        if not (pl_module.at_epoch_end and trainer.is_global_zero):
+        if self.shown is None:
             return
         row, passes = pl_module.history[-1], pl_module.settings.n_passes
         log.info(
@@ -59,10 +51,9 @@ class EpochLines(Callback):
             pl_module.measures["learning rate"],
             pl_module.seconds / 60,
         )
-        if self._shown is not None:
-            self._shown.said()
+        self.shown.said()
 
-    def _stop(self) -> None:
-        if self._shown is not None:
-            self._shown.__exit__()
-            self._shown = None
+    def _count(self, pl_module: LightningModule) -> None:
+        assert isinstance(pl_module, SurrogateTraining)
+        if self.shown is not None:
+            self.shown("step", pl_module.steps_done, pl_module.settings.n_steps)

@@ -1,4 +1,4 @@
-"""TensorBoard: curves of the steps and epochs, pictures of the pool and of the validation rollout."""
+"""TensorBoard: charts of the steps and epochs, pictures of the pool and of the validation rollout."""
 
 from __future__ import annotations
 
@@ -32,35 +32,14 @@ LAYOUT: dict[str, dict[str, list[Any]]] = {
 
 
 @final
-class CurveLogger(Callback):
-    """Sends the measures of every few steps, and every row of the history, to whatever loggers there are.
-
-    Args:
-        every: steps between two points of a curve.
-    """
-
-    def __init__(self, every: Count) -> None:
-        self.every = every
+class DashboardLayout(Callback):
+    """Tells TensorBoard which curves share a chart."""
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Tell TensorBoard which curves share a chart."""
+        """Write the layout."""
         for logger in trainer.loggers:
             if isinstance(logger, TensorBoardLogger):
                 logger.experiment.add_custom_scalars(LAYOUT)
-
-    def on_train_batch_end(
-        self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
-    ) -> None:
-        """Log under ``step/`` and ``epoch/``."""
-        assert isinstance(pl_module, SurrogateTraining)
-        numbers: dict[str, float] = {}
-        if pl_module.steps_done % self.every == 0:
-            numbers |= {f"step/{_tag(name)}": value for name, value in pl_module.measures.items()}
-        if pl_module.at_epoch_end:
-            row = pl_module.history[-1]
-            numbers |= {f"epoch/{_tag(name)}": row[name] for name in row if name not in ("epoch", "steps")}
-        for logger in trainer.loggers if numbers else ():
-            logger.log_metrics(numbers, step=pl_module.steps_done)
 
 
 @final
@@ -74,15 +53,13 @@ class PictureLogger(Callback):
     def __init__(self, cloths: Count) -> None:
         self.cloths = cloths
 
-    def on_train_batch_end(
-        self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
-    ) -> None:
-        """Draw if it is time."""
+    def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Draw."""
         assert isinstance(pl_module, SurrogateTraining)
         writers = [logger.experiment for logger in trainer.loggers if isinstance(logger, TensorBoardLogger)]
-        if not (writers and pl_module.at_epoch_end and trainer.is_global_zero):
+        if not (writers and trainer.is_global_zero):
             return
-        pool = pl_module.running_pool
+        pool = pl_module.pool
         shown = torch.arange(min(self.cloths, pool.settings.size), device=pool.generator.device)
         states = pool.states.take(shown)
         pictures = {"pool": pixels(pool_picture(states.history[:, 0], _titles(states)))}
@@ -99,7 +76,3 @@ def _titles(states: ClothStates) -> list[str]:
         f"Y {y:.3g}, S {s:.3g}, B {b:.3g}, age {age}, {pinned} corners pinned"
         for (y, s, b), age, pinned in rows
     ]
-
-
-def _tag(name: str) -> str:
-    return name.replace(" ", "_")

@@ -1,7 +1,7 @@
 """Banded Cholesky factorisation through LAPACK, called without the interpreter lock.
 
 Measured on a grid of 32×32 vertices (3072 unknowns, half bandwidth 194; one core): dpbtrf takes 3 ms and a
-solve 0.13 ms. See benchmarks/bench_linear_solvers.py for the alternatives.
+solve 0.13 ms. See docs/results/linear_solvers.md for the alternatives.
 """
 
 from __future__ import annotations
@@ -10,29 +10,18 @@ import ctypes
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cython_lapack
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from toile.physics.implicit.linear_solvers.base import Factor, LinearSolver
+from toile.physics.implicit.linear_solvers.fortran import routine
 from toile.physics.implicit.linear_solvers.pattern import BlockPattern
 
 Array = NDArray[np.float64]
 
 
-def _lapack(name: str, n_arguments: int) -> ctypes._FuncPointer:
-    """LAPACK routine as a ctypes function; ctypes releases the interpreter lock, scipy's wrappers do not."""
-    capsule = cython_lapack.__pyx_capi__[name]
-    get_name = ctypes.pythonapi.PyCapsule_GetName
-    get_name.restype, get_name.argtypes = ctypes.c_char_p, [ctypes.py_object]
-    get_pointer = ctypes.pythonapi.PyCapsule_GetPointer
-    get_pointer.restype, get_pointer.argtypes = ctypes.c_void_p, [ctypes.py_object, ctypes.c_char_p]
-    address = get_pointer(capsule, get_name(capsule))
-    return ctypes.CFUNCTYPE(None, *([ctypes.c_void_p] * n_arguments))(address)
-
-
-_pbtrf = _lapack("dpbtrf", 6)
-_pbtrs = _lapack("dpbtrs", 9)
+_pbtrf = routine("dpbtrf", 6)
+_pbtrs = routine("dpbtrs", 9)
 
 
 def bandwidth_order(n_vertices: int, pairs: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:
@@ -119,7 +108,7 @@ class BandedFactor(Factor):
 
     def solve(self, right: Array) -> Array:
         """See Factor."""
-        flat = (right * self.free).reshape(*right.shape[:-2], -1)
+        flat = (right * self.free).reshape(*right.shape[:-2], self.free.size)
         if self.order is not None:
             flat, own = np.empty_like(flat), flat
             flat[..., self.order] = own

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 
 import pytest
 
-BENCHMARKS = Path(__file__).parents[3] / "benchmarks"
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 REFUSED = "error: No such scene\n  where:    nowhere\n"
 
 

@@ -15,9 +15,9 @@ from lightning import Trainer
 
 from toile.evaluation.evaluate import evaluate
 from toile.learning.fit.callbacks.chamfer import CHAMFER, COMPARED, COVERED, CYCLE, ChamferLogger
-from toile.learning.fit.callbacks.checkpoint import CycleCheckpoint
 from toile.learning.fit.callbacks.tensorboard import spread_frames
-from toile.learning.fit.module import Cycles, FitModule
+from toile.learning.fit.module import CyclesOfFit, FitModule
+from toile.learning.last_checkpoint import LastCheckpoint
 from toile.reconstruction.adam import SuccessiveFramesAdam
 from toile.reconstruction.problem import Reconstruction
 
@@ -30,13 +30,13 @@ def fit(module: FitModule, *callbacks: Any, checkpoint: Path | None = None) -> F
         accelerator="cpu",
         devices=1,
         max_epochs=1,
-        enable_checkpointing=False,
+        enable_checkpointing=any(isinstance(c, LastCheckpoint) for c in callbacks),
         enable_progress_bar=False,
         enable_model_summary=False,
         logger=False,
         callbacks=list(callbacks),
     )
-    trainer.fit(module, Cycles(module), ckpt_path=checkpoint, weights_only=True)
+    trainer.fit(module, datamodule=CyclesOfFit(module), ckpt_path=checkpoint, weights_only=True)
     return module
 
 
@@ -89,10 +89,10 @@ def test_a_resumed_fit_continues_the_table(problem: MakeProblem, adam: MakeAdam,
         return ChamferLogger(tmp_path / name, 2, None, seed=0)
 
     fit(FitModule(problem(), adam(), 0), logger("whole.csv"))
-    saving = CycleCheckpoint(tmp_path, every=5)
+    saving = LastCheckpoint(tmp_path, every=5)
     interrupted = FitModule(problem(), adam(), 0)
     interrupted.n_cycles = 7
-    saving.on_train_batch_end = _save_only_at(saving, 5)  # type: ignore[method-assign]
+    saving.on_train_epoch_end = lambda *_: None  # type: ignore[method-assign]
     fit(interrupted, saving, logger("part.csv"))
     # Cycle 5 was evaluated but is not in the checkpoint, and cycle 6 was the last one of that run.
     assert [row[CYCLE] for row in table(tmp_path / "part.csv")] == [1, 3, 5, 6]
@@ -137,13 +137,3 @@ def test_a_motion_that_is_not_finite_does_not_end_the_fit(
     module.report.positions[1, 0, 0] = torch.nan
     callback.on_train_batch_end(Trainer(logger=False, enable_checkpointing=False), module, None, None, 0)
     assert [math.isnan(row[CHAMFER]) for row in table(tmp_path / "c.csv")] == [False, True]
-
-
-def _save_only_at(saving: CycleCheckpoint, cycle: int) -> Callable[..., None]:
-    save = saving.on_train_batch_end
-
-    def at(trainer: Any, module: Any, *rest: Any) -> None:
-        if module.cycles_done == cycle:
-            save(trainer, module, *rest)
-
-    return at

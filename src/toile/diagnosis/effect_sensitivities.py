@@ -1,6 +1,6 @@
-"""What an effect does to first order: forces, or apparent displacements, per unit of each of its numbers.
+"""What an effect does to first order: forces, or apparent displacements, per unit of each coefficient.
 
-An effect acts through one hook; its derivative on the known motion, at the numbers that the effect has, is
+An effect acts through one hook; its derivative on the known motion, at the coefficients that it has, is
 all that the diagnosis needs. It comes from torch, so a new effect needs nothing here.
 """
 
@@ -25,6 +25,7 @@ from toile.effects.base import (
     TimeEffect,
     VertexEffect,
 )
+from toile.effects.jacobian import jacobian
 from toile.geometry.camera import Camera
 from toile.physics.cloth import Cloth
 from toile.physics.material import Material
@@ -60,27 +61,15 @@ class Instant:
 
 
 def derivatives(function: Callable[[Effect], Tensor], effect: Effect) -> Array:
-    """Derivatives of a tensor (...) by every number of an effect, per prior deviation, (n, ...).
-
-    Columns of the Jacobian by two reverse passes: Jᵀw is linear in w, and its derivative by w is J.
-    """
+    """Derivatives of a tensor (...) by every coefficient of an effect, per prior deviation, (n, ...)."""
     scales = effect.scales
     standardised = (effect.values / scales).detach().clone().requires_grad_()
     with torch.enable_grad():
         value = function(effect.with_values(standardised * scales))
-        if not value.requires_grad:
-            return np.zeros((len(scales), *value.shape))
-        weights = torch.zeros_like(value).requires_grad_()
-        (pulled,) = torch.autograd.grad((value * weights).sum(), standardised, create_graph=True)
-        columns = [
-            torch.autograd.grad(pulled[k], weights, retain_graph=True, allow_unused=True)[0]
-            for k in range(len(scales))
-        ]
-    zero = torch.zeros_like(weights)
-    return np.stack([(zero if c is None else c).detach().numpy() for c in columns]).astype(np.float64)
+        return jacobian(value, standardised).numpy().astype(np.float64)
 
 
-def force_columns(effect: Effect, instant: Instant, around: Surroundings) -> Array:
+def force_sensitivities(effect: Effect, instant: Instant, around: Surroundings) -> Array:
     """Force (n_parameters, N, 3) [N] per prior deviation of every parameter.
 
     Raises:
@@ -134,7 +123,7 @@ def force_columns(effect: Effect, instant: Instant, around: Surroundings) -> Arr
     raise TypeError(f"{effect.NAME} does not act through forces")
 
 
-def apparent_columns(effect: CameraEffect, positions: Array, template: Array, camera: Camera) -> Array:
+def apparent_sensitivities(effect: CameraEffect, positions: Array, template: Array, camera: Camera) -> Array:
     """Apparent displacement (n_parameters, N, 3) [m] per prior deviation.
 
     Points take their colours from where the nominal camera sees the template in frame 0, so a wrong camera

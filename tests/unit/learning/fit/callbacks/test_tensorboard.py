@@ -17,8 +17,8 @@ from tensorboard.plugins.custom_scalar.layout_pb2 import Layout
 
 from toile.learning.fit.callbacks.chamfer import ChamferLogger
 from toile.learning.fit.callbacks.layout import DashboardLayout
-from toile.learning.fit.callbacks.tensorboard import PICTURES, CurveLogger, PictureLogger, silhouettes
-from toile.learning.fit.module import Cycles, FitModule
+from toile.learning.fit.callbacks.tensorboard import PICTURES, PictureLogger, silhouettes
+from toile.learning.fit.module import CyclesOfFit, FitModule
 from toile.reconstruction.adam import SuccessiveFramesAdam
 from toile.reconstruction.problem import Reconstruction
 
@@ -30,7 +30,6 @@ def events(problem: Reconstruction, recipe: SuccessiveFramesAdam, folder: Path) 
     """Fit with everything that logs, and read the events."""
     module = FitModule(problem, recipe, 0)
     callbacks: list[Any] = [
-        CurveLogger(),
         ChamferLogger(folder / "chamfer.csv", every=2, frames=None, seed=0),
         PictureLogger(every=2, frames=2, error_scale=10.0),
         DashboardLayout(),
@@ -46,7 +45,7 @@ def events(problem: Reconstruction, recipe: SuccessiveFramesAdam, folder: Path) 
         log_every_n_steps=1,
         callbacks=callbacks,
     )
-    trainer.fit(module, Cycles(module), weights_only=True)
+    trainer.fit(module, datamodule=CyclesOfFit(module), weights_only=True)
     found = EventAccumulator(str(folder), size_guidance={"tensors": 0, "images": 0})
     found.Reload()
     return found

@@ -106,7 +106,7 @@ def test_what_is_free() -> None:
     assert gusts.is_identity
     assert not gusts.values.requires_grad
     assert rate.values.tolist() == [0.1]
-    assert effects.numbers()["gusts x_1 [m/s²]"] == 0.0
+    assert effects.coefficients()["gusts x_1 [m/s²]"] == 0.0
     assert list(effects.state_dict()) == ["values"]
 
 
@@ -169,7 +169,7 @@ def test_fixed_numbers_stay(problem: Callable[..., Reconstruction]) -> None:
     truth = (AirDrag({"normal": 2.0}), Gusts({"x_1": 1.0}, n_modes=1))
     made = problem((truth[0], Gusts(n_modes=1)), ("air_drag",))
     assert found(made, motion(problem(truth))) == pytest.approx([1.0, 0.0], abs=1e-3)
-    assert made.effects.numbers()["air_drag normal [1/s]"] == 2.0
+    assert made.effects.coefficients()["air_drag normal [1/s]"] == 2.0
 
 
 def test_windows_join_into_one_simulation(problem: Callable[..., Reconstruction]) -> None:
