@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import json
 import logging
-import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -73,7 +72,6 @@ def make_one(
     """Make one scene and seal its label; nothing happens if both are there. Returns its name."""
     if blind.is_made(planned.name):
         return planned.name
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
     if planned.generator == "blender":
         made = make_with_blender(planned, small=small)
     else:
