@@ -27,6 +27,7 @@ from torch import Tensor
 
 from toile.physics.cloth import mesh_cloth
 from toile.physics.implicit.integrators import BDF2, BackwardEuler
+from toile.physics.implicit.linear_solvers.analysis import forget_analyses
 from toile.physics.implicit.linear_solvers.banded import BandedSolver
 from toile.physics.implicit.linear_solvers.choice import banded_seconds, sparse_seconds
 from toile.physics.implicit.linear_solvers.sparse import SparseSolver
@@ -54,16 +55,16 @@ STEPS = ["vertices", "solver", "step [ms]", "Newton iterations per step", "tange
 PAGE = """\
 # Linear solvers (`make linear-solvers`)
 
-{machine}, 1 thread. Milliseconds of processor time, which leaves out waiting for other programs (caches and
-memory are shared with them all the same): minimum / median.
+{machine}, 1 thread. Milliseconds of processor time, minimum / median: waiting for other programs is left out,
+but caches and memory are shared with them.
 
 ## One linear system
 
 The Hessian of one step without its indefinite parts, over the free vertices. *Chosen* is what a simulator
 of that cloth takes; *predicted* is what the choice is made by: a factorisation and three solves (grids need
-a gain of 2.5, so that published results keep their last digits). *Analyse* is
-work done once for a mesh; libraries that cannot keep it have it within *factorise*. Residuals are relative to
-the right-hand side, largest entry against largest entry.
+a gain of 2.5, so that published results keep their last digits). *Analyse* is work done once for a mesh;
+libraries that cannot keep it have it within *factorise*. Residuals are relative to the right-hand side,
+largest entry against largest entry.
 
 {solves}
 
@@ -191,6 +192,7 @@ class System:
 
     def own(self, kind: type[BandedSolver] | type[SparseSolver], repeats: int) -> list[object]:
         """A row for a solver of the project."""
+        forget_analyses()
         begin = time.process_time()
         solver = kind(self.pattern, self.pinned)
         analyse = f"{1e3 * (time.process_time() - begin):.3g}"

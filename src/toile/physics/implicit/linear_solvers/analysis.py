@@ -125,6 +125,11 @@ def analyse(pattern: BlockPattern, pinned: Indices) -> SymbolicAnalysis:
     return _analysis(pattern.n_vertices, *(a.tobytes() for a in (pattern.rows, pattern.columns, pinned)))
 
 
+def forget_analyses() -> None:
+    """Let go of the analyses that are kept."""
+    _analysis.cache_clear()
+
+
 @lru_cache(maxsize=8)
 def _analysis(n_vertices: int, *arrays: bytes) -> SymbolicAnalysis:
     rows, columns, pinned = (np.frombuffer(a, np.int64) for a in arrays)
