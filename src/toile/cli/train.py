@@ -75,9 +75,10 @@ def run(cfg: DictConfig) -> None:
         return
     write_results(folder, cfg, module, average.surrogate)
     if not module.finished:
-        reason = "interrupted" if stop.interrupted else f"{stop.minutes:g} minutes are over"
+        late = f"{stop.minutes:g} minutes are over" if stop.out_of_time else "by the trainer"
+        reason = "interrupted" if stop.interrupted else late
         print_path(folder.path, f": stopped after {module.steps_done} of {settings.n_steps} steps, {reason}")
-        more = "" if stop.interrupted else " max_minutes=<more, or null>"
+        more = " max_minutes=<more, or null>" if stop.out_of_time and not stop.interrupted else ""
         print_path(f"toile train resume={folder.path}{more}", " continues")
         if stop.interrupted:
             raise KeyboardInterrupt

@@ -146,6 +146,11 @@ class SurrogateTraining(LightningModule):
         self.log("step", self.steps_done + 1.0)
         self.seconds += time.perf_counter() - self._started
 
+    def on_train_batch_end(self, outputs: Any, batch: Any, batch_idx: int) -> None:
+        """Where the run stops within an epoch, leave out the validation that Lightning would still do."""
+        if self.trainer.should_stop and self.steps_done % self.settings.steps_per_epoch:
+            self.trainer.limit_val_batches = 0  # The history has rows of complete epochs only.
+
     def on_validation_epoch_start(self) -> None:
         """Start the clock."""
         self._started = time.perf_counter()

@@ -183,11 +183,14 @@ def test_an_interrupted_training_continues_bit_for_bit(
     assert_identical(resumed, whole)
 
 
-def test_a_crash_continues_from_the_last_checkpoint(make_training: MakeTraining, tmp_path: Path) -> None:
-    whole, saving = train(make_training()), LastCheckpoint(tmp_path, every=2)
+@pytest.mark.parametrize(("every", "crash", "kept"), [(2, 5, 4), (1, 3, 3), (1, 7, 7), (5, 8, 6)])
+def test_a_crash_continues_from_the_last_checkpoint(
+    every: int, crash: int, kept: int, make_training: MakeTraining, tmp_path: Path
+) -> None:
+    whole, saving = train(make_training()), LastCheckpoint(tmp_path, every)
     with pytest.raises(StoppedError):
-        train(make_training(), StopBetweenSteps(None), saving, Crash(5))
-    assert torch.load(saving.path, weights_only=True)["global_step"] == 4
+        train(make_training(), StopBetweenSteps(None), saving, Crash(crash))
+    assert torch.load(saving.path, weights_only=True)["global_step"] == kept
     assert_identical(train(make_training(), checkpoint=saving.path), whole)
 
 

@@ -48,9 +48,6 @@ class StopBetweenSteps(Callback):
         self.out_of_time = trainer.strategy.reduce_boolean_decision(late, all=False)
         if self.interrupted or self.out_of_time:
             trainer.should_stop = True
-            if not trainer.fit_loop.epoch_loop.batch_progress.is_last_batch:
-                # Lightning would validate before it stops; the history has rows of complete epochs only.
-                trainer.limit_val_batches = 0
 
     def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Give the signals back."""
