@@ -11,6 +11,7 @@ from typing import TypeVar
 T = TypeVar("T")
 
 SETTINGS: Mapping[str, str] = {
+    "callbacks.curves.every": "trainer.log_every_n_steps",
     "diagnosis.attachment_slip.settling": "diagnosis.attachment_slip.first_frames",
     "diagnosis.attachment_slip.white": "diagnosis.attachment_slip.independent",
     "diagnosis.grip.settling": "diagnosis.attachment_slip.first_frames",

@@ -20,6 +20,7 @@ from toile.scenes.scene import Scene
 @pytest.mark.parametrize(
     ("former", "present"),
     [
+        ("callbacks.curves.every", "trainer.log_every_n_steps"),
         ("diagnosis.grip.settling", "diagnosis.attachment_slip.first_frames"),
         ("diagnosis.grip.along", "diagnosis.attachment_slip.along"),
         ("diagnosis.border.steps", "diagnosis.outline.steps"),
