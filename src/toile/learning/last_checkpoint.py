@@ -36,7 +36,7 @@ class LastCheckpoint(ModelCheckpoint):
 
     CHECKPOINT_NAME_LAST = Path(LAST).stem
 
-    def __init__(self, folder: str | Path, every: Count, save_on_exception: bool = False) -> None:
+    def __init__(self, folder: str | Path, every: Count, save_on_exception: bool) -> None:
         if every < 1:
             raise ValueError(f"every: expected at least 1 step, got {every}")
         super().__init__(

@@ -79,13 +79,13 @@ def test_only_with_a_callback_that_writes_them(tmp_path: Path, monkeypatch: pyte
     monkeypatch.chdir(tmp_path)
     assert not run().checkpoint_callbacks
     assert not list(tmp_path.iterdir())
-    trainer = run(LastCheckpoint(tmp_path / "checkpoints", every=3), Then(99, fail))
+    trainer = run(LastCheckpoint(tmp_path / "checkpoints", every=3, save_on_exception=False), Then(99, fail))
     assert isinstance(trainer.callbacks[-1], ModelCheckpoint)  # type: ignore[attr-defined]
     assert [path.name for path in tmp_path.rglob("*.ckpt")] == ["last.ckpt"]
 
 
 def test_every_few_steps_and_at_the_end_of_epochs(tmp_path: Path) -> None:
-    saving, seen = LastCheckpoint(tmp_path, every=3), []
+    saving, seen = LastCheckpoint(tmp_path, every=3, save_on_exception=False), []
     save = saving._save_checkpoint
     saving._save_checkpoint = lambda t, path: (seen.append(t.global_step), save(t, path))  # type: ignore[method-assign, assignment]
     run(saving)
@@ -94,7 +94,7 @@ def test_every_few_steps_and_at_the_end_of_epochs(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("step", [2, 4, 5])
 def test_a_stop_saves_where_it_stops(step: int, tmp_path: Path) -> None:
-    saving = LastCheckpoint(tmp_path, every=100)
+    saving = LastCheckpoint(tmp_path, every=100, save_on_exception=False)
     run(saving, Then(step, stop))
     assert saved(saving.path) == step
 
@@ -120,7 +120,7 @@ def test_a_failure_before_the_first_step_writes_nothing(tmp_path: Path) -> None:
 def test_a_failure_while_writing_leaves_the_one_before(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    saving, write = LastCheckpoint(tmp_path, every=1), Trainer.save_checkpoint
+    saving, write = LastCheckpoint(tmp_path, every=1, save_on_exception=False), Trainer.save_checkpoint
 
     def torn(self: Trainer, filepath: Path, *rest: Any) -> None:
         write(self, filepath, *rest)
@@ -137,4 +137,4 @@ def test_a_failure_while_writing_leaves_the_one_before(
 
 def test_at_least_one_step_lies_between_two(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="at least 1 step"):
-        LastCheckpoint(tmp_path, every=0)
+        LastCheckpoint(tmp_path, every=0, save_on_exception=False)

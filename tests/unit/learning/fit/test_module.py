@@ -110,7 +110,7 @@ def test_resuming_from_a_regular_checkpoint(problem: MakeProblem, adam: MakeAdam
 def test_resuming_a_finished_fit_changes_nothing(
     problem: MakeProblem, adam: MakeAdam, tmp_path: Path
 ) -> None:
-    saving = LastCheckpoint(tmp_path, every=5)
+    saving = LastCheckpoint(tmp_path, every=5, save_on_exception=False)
     whole = fit(FitModule(problem(), adam(), 0), saving)
     assert_identical(fit(FitModule(problem(), adam(), 0), checkpoint=saving.path), whole)
 
@@ -118,7 +118,7 @@ def test_resuming_a_finished_fit_changes_nothing(
 def test_checkpoints_are_plain_data_and_complete(
     problem: MakeProblem, adam: MakeAdam, tmp_path: Path
 ) -> None:
-    saving = LastCheckpoint(tmp_path, every=5)
+    saving = LastCheckpoint(tmp_path, every=5, save_on_exception=False)
     module = fit(FitModule(problem(), adam(), 7), saving)
     assert [path.name for path in tmp_path.iterdir()] == ["last.ckpt"]
     checkpoint = torch.load(saving.path, weights_only=True)

@@ -111,7 +111,7 @@ def assert_identical(a: SurrogateTraining, b: SurrogateTraining) -> None:
 def test_a_training_changes_weights_average_and_pool(make_training: MakeTraining, tmp_path: Path) -> None:
     module = make_training()
     before = {name: value.clone() for name, value in module.surrogate.state_dict().items()}
-    train(module, saving := LastCheckpoint(tmp_path, every=100))
+    train(module, saving := LastCheckpoint(tmp_path, every=100, save_on_exception=False))
     assert module.finished
     assert module.steps_done == 9
     average = module.surrogate.state_dict()
@@ -173,7 +173,7 @@ def test_an_interrupted_training_continues_bit_for_bit(
 ) -> None:
     whole = train(make_training())
     handler = signal.getsignal(signal.SIGINT)
-    stopping, saving = StopBetweenSteps(None), LastCheckpoint(tmp_path, every=100)
+    stopping, saving = StopBetweenSteps(None), LastCheckpoint(tmp_path, every=100, save_on_exception=False)
     half = train(make_training(), Interrupt(stop - 1), stopping, saving)
     assert stopping.interrupted
     assert half.steps_done == stop
@@ -187,7 +187,7 @@ def test_an_interrupted_training_continues_bit_for_bit(
 def test_a_crash_continues_from_the_last_checkpoint(
     every: int, crash: int, kept: int, make_training: MakeTraining, tmp_path: Path
 ) -> None:
-    whole, saving = train(make_training()), LastCheckpoint(tmp_path, every)
+    whole, saving = train(make_training()), LastCheckpoint(tmp_path, every, save_on_exception=False)
     with pytest.raises(StoppedError):
         train(make_training(), StopBetweenSteps(None), saving, Crash(crash))
     assert torch.load(saving.path, weights_only=True)["global_step"] == kept
@@ -195,7 +195,7 @@ def test_a_crash_continues_from_the_last_checkpoint(
 
 
 def test_time_counts_over_resumes(make_training: MakeTraining, tmp_path: Path) -> None:
-    saving, stopping = LastCheckpoint(tmp_path, every=100), StopBetweenSteps(0.0)
+    saving, stopping = LastCheckpoint(tmp_path, every=100, save_on_exception=False), StopBetweenSteps(0.0)
     first = train(make_training(), stopping, saving)
     assert (first.steps_done, stopping.out_of_time, stopping.interrupted) == (1, True, False)
     second = train(make_training(), StopBetweenSteps(0.0), saving, checkpoint=saving.path)
@@ -204,7 +204,7 @@ def test_time_counts_over_resumes(make_training: MakeTraining, tmp_path: Path) -
 
 
 def test_continuing_a_finished_training_changes_nothing(make_training: MakeTraining, tmp_path: Path) -> None:
-    saving = LastCheckpoint(tmp_path, every=100)
+    saving = LastCheckpoint(tmp_path, every=100, save_on_exception=False)
     whole = train(make_training(), saving)
     assert [path.name for path in tmp_path.iterdir()] == ["last.ckpt"]
     assert_identical(train(make_training(), checkpoint=saving.path), whole)
@@ -278,7 +278,7 @@ class KeepResults(Callback):
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="starts the processes by forking")
 def test_two_processes_share_weights_but_no_cloths(make_training: MakeTraining, tmp_path: Path) -> None:
-    saving = LastCheckpoint(tmp_path / "checkpoint", every=100)
+    saving = LastCheckpoint(tmp_path / "checkpoint", every=100, save_on_exception=False)
     strategy = DDPStrategy(start_method="fork", process_group_backend="gloo")
     module = make_training(epochs=1, steps_per_epoch=2, batch_size=4)
     train(module, saving, KeepResults(tmp_path), devices=2, strategy=strategy)
@@ -298,7 +298,7 @@ def test_two_processes_stop_together_and_continue_bit_for_bit(
     make_training: MakeTraining, tmp_path: Path
 ) -> None:
     def run(folder: str, *callbacks: Callback, checkpoint: Path | None = None) -> dict[str, Any]:
-        saving = LastCheckpoint(tmp_path / folder, every=100)
+        saving = LastCheckpoint(tmp_path / folder, every=100, save_on_exception=False)
         strategy = DDPStrategy(start_method="fork", process_group_backend="gloo")
         module = make_training(epochs=2, steps_per_epoch=2)
         train(module, *callbacks, saving, checkpoint=checkpoint, devices=2, strategy=strategy)

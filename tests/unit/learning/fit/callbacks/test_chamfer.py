@@ -89,7 +89,7 @@ def test_a_resumed_fit_continues_the_table(problem: MakeProblem, adam: MakeAdam,
         return ChamferLogger(tmp_path / name, 2, None, seed=0)
 
     fit(FitModule(problem(), adam(), 0), logger("whole.csv"))
-    saving = LastCheckpoint(tmp_path, every=5)
+    saving = LastCheckpoint(tmp_path, every=5, save_on_exception=False)
     interrupted = FitModule(problem(), adam(), 0)
     interrupted.n_cycles = 7
     saving.on_train_epoch_end = lambda *_: None  # type: ignore[method-assign]
