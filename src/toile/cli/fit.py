@@ -193,7 +193,11 @@ def build_reconstruction(
     """The problem that the configuration describes for a scene; None takes its ``parameters``."""
     cloth = instantiate(cfg.cloth)(scene)
     parameters = (make_parameters or instantiate(cfg.parameters))(
-        scene.n_frames, cloth.n_vertices, len(cloth.pinned), scene_units(scene, cfg.cloth.areal_density)
+        scene.n_frames,
+        cloth.n_vertices,
+        len(cloth.pinned),
+        scene_units(scene, cfg.cloth.areal_density),
+        of_cloth=cloth.energies.parameters,
     )
     make_simulator = instantiate(cfg.simulator.build)
     return Reconstruction(

@@ -36,10 +36,10 @@ class AnisotropicStiffness(ElementEffect):
         if not self.is_active:
             return elements
         stretching, bending = self.values / 2
-        stencils = now.cloth.stencils
+        of = now.cloth.energies.named
         return elements.scaled(
-            stretching=torch.exp(stretching * _sign(stencils.edges, now.cloth)),
-            bending=torch.exp(bending * _sign(stencils.straights, now.cloth)),
+            stretching=torch.exp(stretching * _sign(of("stretching").stencil, now.cloth)),
+            bending=torch.exp(bending * _sign(of("bending").stencil, now.cloth)),
         )
 
 

@@ -8,7 +8,6 @@ from torch import Tensor
 
 from toile.effects.base import ElementEffect, Parameter, Stage
 from toile.physics.elements import Elements
-from toile.physics.energies.angle import angle_between
 from toile.physics.step_terms import StepContext
 
 
@@ -37,18 +36,15 @@ class InternalDamping(ElementEffect):
         """See ElementTerm."""
         if not self.is_active:
             return elements
-        x, stencils = now.positions, now.cloth.stencils
         in_plane, bending = self.values / now.time_step
-        edges, (i, k, j) = x[stencils.edges], x[stencils.corners].unbind(1)
-        before, middle, after = x[stencils.straights].unbind(1)
-        bend = angle_between(middle - before, after - middle)
-        return elements.scaled(stretching=1 + in_plane, shearing=1 + in_plane, bending=1 + bending).with_rest(
-            stretching=_shifted(
-                elements.rest["stretching"], (edges[:, 1] - edges[:, 0]).norm(dim=-1), in_plane
-            ),
-            shearing=_shifted(elements.rest["shearing"], angle_between(i - k, j - k), in_plane),
-            bending=_shifted(elements.rest["bending"], bend * _is_bent(bend), bending),
-        )
+        ratios = {"stretching": in_plane, "shearing": in_plane, "bending": bending}
+        shapes = {}
+        for name, ratio in ratios.items():
+            shape = now.cloth.energies.named(name).measure(now.positions)
+            if name == "bending":
+                shape = shape * _is_bent(shape)
+            shapes[name] = _shifted(elements.rest[name], shape, ratio)
+        return elements.scaled(**{n: 1 + ratio for n, ratio in ratios.items()}).with_rest(**shapes)
 
 
 def _shifted(rest: Tensor, now: Tensor, ratio: Tensor) -> Tensor:

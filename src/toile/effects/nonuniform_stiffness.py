@@ -28,9 +28,6 @@ class NonuniformStiffness(ElementEffect):
         if not self.is_active:
             return elements
         logarithm = cosine_modes(now.cloth) @ self.values
-        stencils = now.cloth.stencils
-        stretching, shearing, bending = (
-            torch.exp(logarithm[index].mean(-1))
-            for index in (stencils.edges, stencils.corners, stencils.straights)
+        return elements.scaled(
+            **{term.name: torch.exp(logarithm[term.stencil].mean(-1)) for term in now.cloth.energies}
         )
-        return elements.scaled(stretching=stretching, shearing=shearing, bending=bending)

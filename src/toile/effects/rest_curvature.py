@@ -66,7 +66,7 @@ def _angle_gradients(now: StepContext, weights: Tensor) -> Tensor:
     With the unit edges u and v before and after the vertex and n the normal within their bisecting plane,
     2 sin(θ/2) = <v - u, n>. Turning n does not change it to first order where v - u is along n.
     """
-    index = now.cloth.stencils.straights
+    index = now.cloth.energies.named("bending").stencil
     before, middle, after = now.positions[index].unbind(1)
     u, v = middle - before, after - middle
     u_length, v_length = u.norm(dim=-1, keepdim=True), v.norm(dim=-1, keepdim=True)

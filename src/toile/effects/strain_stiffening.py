@@ -6,7 +6,6 @@ from typing import ClassVar
 
 from toile.effects.base import ElementEffect, Parameter, Stage
 from toile.physics.elements import Elements
-from toile.physics.energies.angle import angle_between
 from toile.physics.step_terms import StepContext
 
 
@@ -33,10 +32,8 @@ class StrainStiffening(ElementEffect):
         if not self.is_active:
             return elements
         stretching, shearing = self.values
-        x, cloth = now.positions, now.cloth
-        edges, (i, k, j) = x[cloth.stencils.edges], x[cloth.stencils.corners].unbind(1)
-        strain = (edges[:, 1] - edges[:, 0]).norm(dim=-1) / cloth.rest_lengths - 1
-        angle = angle_between(i - k, j - k) - cloth.rest_corner_angles
+        of = now.cloth.energies.named
+        strain, angle = of("stretching").strain(now.positions), of("shearing").strain(now.positions)
         return elements.scaled(
             stretching=(1 + stretching * strain.square()), shearing=(1 + shearing * angle.square())
         )

@@ -15,6 +15,7 @@ from toile.physics.energies.membrane import Membrane, NeoHookean, rest_triangles
 from toile.physics.energies.shearing import Shearing
 from toile.physics.energies.stretching import Stretching
 from toile.physics.energies.term import InternalEnergy
+from toile.physics.grid_laws import GridLaw, angles
 from toile.physics.material import Material
 from toile.physics.parameter_vector import ParameterVector
 from toile.physics.stencils import Stencils, grid_stencils
@@ -74,11 +75,6 @@ class Cloth:
         """Of the edges along warp and weft, (E,) [m]."""
         return self.energies.named("stretching").rest
 
-    @property
-    def rest_corner_angles(self) -> Tensor:
-        """Between warp and weft, (C,) [rad]."""
-        return self.energies.named("shearing").rest
-
     def material(self, **values: Tensor | float) -> Material:
         """Material of this cloth from values by name, numbers or tensors (B,)."""
         return Material.of(self.energies.parameters, values)
@@ -137,6 +133,7 @@ def grid_cloth(
     areal_density: float,
     pinned: tuple[int, ...],
     rest_lengths: Tensor | None = None,
+    law: GridLaw = angles,
 ) -> Cloth:
     """A rectangular cloth on an H×W grid, flat at rest.
 
@@ -146,21 +143,13 @@ def grid_cloth(
         areal_density: [kg/m²].
         pinned: flattened indices of pinned vertices.
         rest_lengths: (E,) [m]; uniform if None.
+        law: which energies resist its deformation.
     """
-    stencils = grid_stencils(*grid)
     if rest_lengths is None:
-        rest_lengths = uniform_rest_lengths(stencils, grid, cloth_size)
-    right = torch.full((len(stencils.corners),), torch.pi / 2, dtype=torch.float64)
-    straight = torch.zeros(len(stencils.straights), dtype=torch.float64)
+        rest_lengths = uniform_rest_lengths(grid_stencils(*grid), grid, cloth_size)
     return Cloth(
         topology=Topology.of_grid(*grid),
-        energies=InternalEnergy(
-            (
-                Stretching(stencils.edges, rest_lengths.to(torch.float64)),
-                Shearing(stencils.corners, right),
-                Bending(stencils.straights, straight),
-            )
-        ),
+        energies=law(grid, rest_lengths.to(torch.float64)),
         masses=grid_masses(*grid, cloth_size, areal_density),
         pinned=torch.tensor(pinned, dtype=torch.int64),
     )

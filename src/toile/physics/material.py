@@ -32,7 +32,7 @@ class Material:
 
     @staticmethod
     def of(parameters: ParameterVector, values: Mapping[str, Tensor | float]) -> Material:
-        """From values by name, numbers for a batch of one or tensors (B,)."""
+        """From values by name, numbers for a batch of one or tensors (B,); see ParameterVector.pack."""
         columns = {n: torch.as_tensor(v, dtype=torch.float64).reshape(-1) for n, v in values.items()}
         return Material(parameters, parameters.pack(columns))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import torch
@@ -21,6 +21,7 @@ class Parameter:
         symbol: as in formulas.
         unit: SI; "" for a pure number.
         lower, upper: what it may be; both are allowed.
+        default: what it is unless said otherwise; None where it must be said.
     """
 
     name: str
@@ -28,6 +29,7 @@ class Parameter:
     unit: str
     lower: float = 0.0
     upper: float = float("inf")
+    default: float | None = None
 
     @property
     def label(self) -> str:
@@ -68,14 +70,34 @@ class ParameterVector(Sequence[Parameter]):
             raise KeyError(f"no parameter {name!r}; there are {', '.join(self.names) or 'none'}") from None
 
     def pack(self, values: Mapping[str, Tensor]) -> Tensor:
-        """Vector (..., P) of values (...) by name; exactly the names of this vector.
+        """Vector (..., P) of values (...) by name, with the defaults of those that are not given.
 
         Raises:
-            KeyError: a name is missing or too many.
+            KeyError: a name without a default is missing, or one is too many.
         """
-        if set(values) != set(self.names):
+        defaults = {p.name: p.default for p in self if p.default is not None and p.name not in values}
+        if {*values, *defaults} != set(self.names):
             raise KeyError(f"expected values of {', '.join(self.names)}, got {', '.join(values)}")
-        return torch.stack([values[name] for name in self.names], -1)
+        like = next(iter(values.values()), torch.zeros((), dtype=torch.float64))
+        columns = {**values, **{name: torch.full_like(like, value) for name, value in defaults.items()}}
+        return torch.stack([columns[name] for name in self.names], -1)
+
+    def with_defaults(self, defaults: Mapping[str, float]) -> ParameterVector:
+        """The same with other defaults.
+
+        Raises:
+            KeyError: there is no such parameter.
+            ValueError: a default is outside its bounds.
+        """
+        changed = list(self.parameters)
+        for name, value in defaults.items():
+            index = self.index(name)
+            changed[index] = replace(changed[index], default=value)
+            if not changed[index].lower <= value <= changed[index].upper:
+                raise ValueError(
+                    f"{name}: expected {changed[index].lower:g} to {changed[index].upper:g}, got {value:g}"
+                )
+        return ParameterVector(tuple(changed))
 
     def unpack(self, vector: Sequence[T]) -> dict[str, T]:
         """Entries of a vector by name."""

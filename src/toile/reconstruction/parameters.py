@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from toile.limits import Positive, Unit
 from toile.physics.cloth import GRID_PARAMETERS
 from toile.physics.material import Material
+from toile.physics.parameter_vector import ParameterVector
 from toile.physics.units import NetworkUnits
 
 
@@ -25,6 +26,9 @@ class ClothParameters(nn.Module):
             [m/s²], shape (F-1, N, 3); entry t acts between frame t and frame t + 1.
         boundary_motion: displacement of the pinned vertices from the template [m], shape (F, n, 3).
         texture_offset: change of the texture coordinates, shape (N, 2).
+
+    Args:
+        of_cloth: what the cloth's law depends on; a grid's stiffnesses are among it.
     """
 
     NAMES = (*GRID_PARAMETERS.names, "wind", "turbulence", "boundary_motion", "texture_offset")
@@ -40,8 +44,10 @@ class ClothParameters(nn.Module):
         stretching: Annotated[Positive, Unit("network units")],
         shearing: Annotated[Positive, Unit("network units")],
         bending: Annotated[Positive, Unit("network units")],
+        of_cloth: ParameterVector = GRID_PARAMETERS,
     ) -> None:
         super().__init__()
+        self._of_cloth = of_cloth
         double = torch.float64
         self.units = units
         stiffnesses = {"stretching": stretching, "shearing": shearing, "bending": bending}
@@ -68,11 +74,12 @@ class ClothParameters(nn.Module):
             self.get_parameter(name).fill_(float(value))
 
     def material(self) -> Material:
-        """Stiffnesses in SI units, batch of one."""
-        return Material.of(
-            GRID_PARAMETERS,
-            {p.name: self.get_parameter(p.name) * self.units.of(p.unit) for p in GRID_PARAMETERS},
-        )
+        """The cloth with its stiffnesses as they are, batch of one."""
+        return self.material_of([self.get_parameter(p.name) * self.units.of(p.unit) for p in GRID_PARAMETERS])
+
+    def material_of(self, stiffness: Sequence[Tensor]) -> Material:
+        """The cloth with stiffnesses in SI units, and what else its law has at the defaults; batch of one."""
+        return Material.of(self._of_cloth, GRID_PARAMETERS.unpack(stiffness))
 
     def forces(self, masses: Tensor, gravity: Tensor, first: int, last: int) -> Tensor:
         """External forces of frames first + 1 ... last, (last - first, N, 3) [N].

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from toile.limits import Positive, Unit
 from toile.physics.cloth import Cloth, grid_cloth, template_rest_lengths, uniform_rest_lengths
+from toile.physics.grid_laws import GridLaw, angles
 from toile.physics.stencils import grid_stencils
 from toile.physics.units import PAPER_TIME_STEP, NetworkUnits
 from toile.scenes.scene import Scene
@@ -28,7 +29,10 @@ def template(scene: Scene) -> Tensor:
 
 
 def scene_cloth(
-    scene: Scene, areal_density: Annotated[Positive, Unit("kg/m²")], rest_lengths: RestLengths
+    scene: Scene,
+    areal_density: Annotated[Positive, Unit("kg/m²")],
+    rest_lengths: RestLengths,
+    law: GridLaw = angles,
 ) -> Cloth:
     """The cloth of a scene.
 
@@ -36,8 +40,11 @@ def scene_cloth(
         scene: its grid, size and pinned vertices are used.
         areal_density: [kg/m²]; no video tells it.
         rest_lengths: uniform, template, or another function of that signature.
+        law: which energies resist its deformation, see grid_laws.
     """
-    return grid_cloth(scene.grid, scene.cloth_size, areal_density, scene.pinned_vertices, rest_lengths(scene))
+    return grid_cloth(
+        scene.grid, scene.cloth_size, areal_density, scene.pinned_vertices, rest_lengths(scene), law
+    )
 
 
 def scene_units(scene: Scene, areal_density: float) -> NetworkUnits:

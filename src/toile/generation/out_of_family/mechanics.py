@@ -135,7 +135,7 @@ class ExponentialStiffening(OutOfFamilyEffect):
         """See RealityEffect."""
         s = now.cloth.stencils
         strain = (_lengths(now.positions, s.edges) / now.cloth.rest_lengths - 1).clamp(min=0)
-        shear = (_angles(now.positions, s.corners) - now.cloth.rest_corner_angles).abs()
+        shear = (_angles(now.positions, s.corners) - now.cloth.energies.named("shearing").rest).abs()
         a, b = (self.strength * r for r in self.rates)
         return elements.scaled(
             stretching=torch.exp((a * strain).clamp(max=3)), shearing=torch.exp((b * shear).clamp(max=4))

@@ -46,6 +46,11 @@ class Bending(EnergyTerm):
         """See EnergyTerm."""
         return bending_energy(positions, self.stencil, coefficients * factors, rest)
 
+    def measure(self, positions: Tensor) -> Tensor:
+        """Angles (E,) [rad]."""
+        before, middle, after = positions[self.stencil].unbind(1)
+        return angle_between(middle - before, after - middle)
+
     def kernels(self) -> TermKernels:
         """See EnergyTerm."""
         from toile.physics.energies.angle_kernels import bending_derivatives, bending_energies

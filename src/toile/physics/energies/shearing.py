@@ -41,6 +41,11 @@ class Shearing(EnergyTerm):
         """See EnergyTerm."""
         return shearing_energy(positions, self.stencil, rest, coefficients * factors)
 
+    def measure(self, positions: Tensor) -> Tensor:
+        """Angles (E,) [rad]."""
+        i, k, j = positions[self.stencil].unbind(1)
+        return angle_between(i - k, j - k)
+
     def kernels(self) -> TermKernels:
         """See EnergyTerm."""
         from toile.physics.energies.angle_kernels import shearing_derivatives, shearing_energies

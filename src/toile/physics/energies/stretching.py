@@ -10,6 +10,11 @@ from toile.physics.energies.term import EnergyTerm, TermKernels
 from toile.physics.parameter_vector import Parameter
 
 
+def edge_lengths(positions: Tensor, edges: Tensor) -> Tensor:
+    """Lengths (..., E) [m] of edges (E, 2) at positions (..., N, 3) [m]."""
+    return (positions[..., edges[:, 1], :] - positions[..., edges[:, 0], :]).norm(dim=-1)
+
+
 def stretching_energy(
     positions: Tensor, edges: Tensor, rest_lengths: Tensor, stiffness: Tensor | float
 ) -> Tensor:
@@ -24,8 +29,7 @@ def stretching_energy(
     Returns:
         Energy [J], shape (...).
     """
-    length = (positions[..., edges[:, 1], :] - positions[..., edges[:, 0], :]).norm(dim=-1)
-    return 0.5 * (stiffness * (length - rest_lengths) ** 2).sum(-1)
+    return 0.5 * (stiffness * (edge_lengths(positions, edges) - rest_lengths) ** 2).sum(-1)
 
 
 class Stretching(EnergyTerm):
@@ -38,6 +42,14 @@ class Stretching(EnergyTerm):
     def energy(self, positions: Tensor, coefficients: Tensor, factors: Tensor, rest: Tensor) -> Tensor:
         """See EnergyTerm."""
         return stretching_energy(positions, self.stencil, rest, coefficients * factors)
+
+    def measure(self, positions: Tensor) -> Tensor:
+        """Lengths (E,) [m]."""
+        return edge_lengths(positions, self.stencil)
+
+    def strain(self, positions: Tensor) -> Tensor:
+        """See EnergyTerm: ‖e‖ / L₀ - 1."""
+        return self.measure(positions) / self.rest - 1
 
     def kernels(self) -> TermKernels:
         """See EnergyTerm."""

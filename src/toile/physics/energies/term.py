@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
@@ -13,6 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from toile.errors import InputError
 from toile.physics.elements import Elements
 from toile.physics.parameter_vector import Parameter, ParameterVector
 
@@ -78,6 +79,23 @@ class EnergyTerm(ABC):
             Energy (...) [J].
         """
 
+    def measure(self, positions: Tensor) -> Tensor:
+        """What the rest shape is a value of, at positions (N, 3) [m]: lengths or angles (E,).
+
+        Raises:
+            InputError: the energy has no such measure; effects of warp and weft ask for it.
+        """
+        raise InputError(
+            f"{self.name} is no energy of lengths or angles, so this effect can't act on it",
+            where="effect",
+            expected="a cloth with warp and weft",
+            got=f"the energy {self.name}",
+        )
+
+    def strain(self, positions: Tensor) -> Tensor:
+        """Dimensionless departure from rest (E,): relative change of length, or change of angle [rad]."""
+        return self.measure(positions) - self.rest
+
     @abstractmethod
     def kernels(self) -> TermKernels:
         """Its Warp kernels; Warp is imported here."""
@@ -97,10 +115,12 @@ class InternalEnergy(Sequence[EnergyTerm]):
 
     Args:
         terms: no two have the same name.
+        defaults: of parameters that a material need not give, by name.
     """
 
-    def __init__(self, terms: Sequence[EnergyTerm]) -> None:
+    def __init__(self, terms: Sequence[EnergyTerm], defaults: Mapping[str, float] | None = None) -> None:
         self.terms = tuple(terms)
+        self._defaults = dict(defaults or {})
         names = [term.name for term in self.terms]
         if len(set(names)) < len(names):
             raise ValueError(f"terms: expected every energy once, got {', '.join(names)}")
@@ -108,7 +128,8 @@ class InternalEnergy(Sequence[EnergyTerm]):
     @cached_property
     def parameters(self) -> ParameterVector:
         """Parameters of all terms, one after the other."""
-        return ParameterVector(tuple(p for term in self.terms for p in term.parameters))
+        everything = ParameterVector(tuple(p for term in self.terms for p in term.parameters))
+        return everything.with_defaults(self._defaults)
 
     @property
     def n_coefficients(self) -> int:

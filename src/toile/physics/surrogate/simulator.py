@@ -12,7 +12,7 @@ from torch import Tensor
 
 from toile.errors import InputError
 from toile.limits import Count, CountOrZero
-from toile.physics.cloth import Cloth, cell_shares
+from toile.physics.cloth import GRID_PARAMETERS, Cloth, cell_shares
 from toile.physics.implicit.integrators import Integrator
 from toile.physics.implicit.newton import Linearization, StepSolution, linearise
 from toile.physics.implicit.terms import SceneTerms
@@ -171,10 +171,10 @@ class SurrogateSimulator(LinearizableSimulator):
 
 
 def _checked_grid(cloth: Cloth) -> tuple[int, int]:
-    names = [term.name for term in cloth.energies]
-    if cloth.grid is None or names != ["stretching", "shearing", "bending"]:
+    names = cloth.energies.parameters.names
+    if cloth.grid is None or names != GRID_PARAMETERS.names:
         raise ValueError(
-            "cloth: the surrogate expects a grid with stretching, shearing and bending, got "
+            f"cloth: the surrogate expects a grid with {', '.join(GRID_PARAMETERS.names)}, got "
             f"{'a general mesh' if cloth.grid is None else 'a grid'} with {', '.join(names)}"
         )
     if min(cloth.grid) < _SMALLEST_GRID:
@@ -182,7 +182,7 @@ def _checked_grid(cloth: Cloth) -> tuple[int, int]:
             f"cloth: the surrogate expects a grid of at least {_SMALLEST_GRID}×{_SMALLEST_GRID}, "
             f"got {cloth.grid}"
         )
-    if not bool(torch.allclose(cloth.rest_corner_angles, torch.tensor(torch.pi / 2).double())):
+    if not bool(torch.allclose(cloth.energies.named("shearing").rest, torch.tensor(torch.pi / 2).double())):
         raise ValueError("cloth: the surrogate expects right angles between warp and weft at rest")
     masses = cloth.masses.detach()
     uniform = masses.max() * cell_shares(*cloth.grid).reshape(-1)

@@ -17,6 +17,7 @@ from toile.effects.setting import Setting
 from toile.geometry.horizontal import horizontal_axes
 from toile.limits import NonNegative, Positive, Unit
 from toile.physics.implicit.linearized import Perturbation
+from toile.physics.material import Material
 from toile.physics.simulator import Simulator
 from toile.reconstruction.gauss_newton.conjugate_gradients import Vector
 from toile.reconstruction.parameters import ClothParameters
@@ -143,6 +144,7 @@ class WindowUnknowns:
         self._mean_values = self._values if priors.walk else effects.start.numpy()
         self._terms = effects.in_step_terms.numpy()
         self._sensitivities: tuple[bytes, EffectSensitivities] | None = None
+        self._slopes: tuple[Array, Array] | None = None
         if len(effects):
             with torch.no_grad():
                 given = reconstruction.setting()
@@ -296,6 +298,21 @@ class WindowUnknowns:
         """Stiffnesses in SI units."""
         return self.stiffness(z) * self._stiffness_units
 
+    def material(self, z: Vector) -> Material:
+        """The cloth's stiffnesses, batch of one."""
+        return self.reconstruction.parameters.material_of(list(torch.from_numpy(self.si_stiffness(z))))
+
+    def _coefficients_by_stiffness(self, z: Vector) -> Array:
+        """Derivatives (C, 3) of the energies' coefficients by the stiffnesses in SI units."""
+        at = self.si_stiffness(z)
+        if self._slopes is None or not np.array_equal(self._slopes[0], at):
+            p, energies = self.reconstruction.parameters, self.reconstruction.cloth.energies
+            slopes = torch.autograd.functional.jacobian(
+                lambda k: energies.coefficients(p.material_of(list(k)).values[0]), torch.from_numpy(at)
+            )
+            self._slopes = at, slopes.numpy()
+        return self._slopes[1]
+
     def tangent(self, z: Vector, d: Vector) -> Perturbation:
         """Change of the rollout's inputs for a change d of the standardised coordinates at z."""
         n_vertices = self._masses.shape[0]
@@ -305,9 +322,10 @@ class WindowUnknowns:
         blown = np.zeros(3)
         if self.priors.wind is not None:
             blown = self.priors.wind * d["wind"] @ self._horizontal
-        stiffness = np.zeros_like(self._stiffness)
+        stiffness = np.zeros(self.reconstruction.cloth.energies.n_coefficients)
         if self.priors.stiffness is not None:
-            stiffness = self.si_stiffness(z) * self.priors.stiffness * d["stiffness"]
+            change = self.si_stiffness(z) * self.priors.stiffness * d["stiffness"]
+            stiffness = self._coefficients_by_stiffness(z) @ change
         boundary = np.zeros_like(self._boundary)
         if self._series is not None:
             boundary = self._series.restored(d["boundary_motion"]) * self._boundary_free
@@ -338,7 +356,8 @@ class WindowUnknowns:
         if self._series is not None:
             out["boundary_motion"] = self._series.restored_adjoint(gradient.boundary * self._boundary_free)
         if self.priors.stiffness is not None:
-            out["stiffness"] = gradient.stiffness * self.si_stiffness(z) * self.priors.stiffness
+            slope = gradient.stiffness @ self._coefficients_by_stiffness(z)
+            out["stiffness"] = slope * self.si_stiffness(z) * self.priors.stiffness
         if self.priors.wind is not None:
             out["wind"] = self.priors.wind * (self._horizontal @ acceleration.sum((0, 1)))
         if self._value_deviations is not None:

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from toile.physics.implicit.linearized import LinearizedRollout
 from toile.physics.linearizable import LinearizableSimulator
-from toile.physics.material import Material
 from toile.physics.rollout import Rollout, rollout
 from toile.physics.simulator import StepStatus
 from toile.physics.state import State
@@ -151,11 +150,10 @@ def minimise_window(
         elif simulator.time_step != nominal.time_step:
             # The positions before are what they are; another clock makes other velocities of them.
             state = replace(start, velocities=start.velocities * (nominal.time_step / simulator.time_step))
-        stiffness = torch.from_numpy(unknowns.si_stiffness(z))[None]
         result = rollout(
             simulator,
             state,
-            Material(simulator.cloth.energies.parameters, stiffness),
+            unknowns.material(z),
             torch.from_numpy(given.forces)[None],
             torch.from_numpy(boundary)[None],
             frame_steps,
