@@ -1,9 +1,9 @@
 """Springs that resist compression less than tension: edges and diagonals of a grid.
 
 Cloth wrinkles below a grid of one or two centimetres. What a grid sees of its resistance to compression is
-then the buckling of the sheet and not the thread: tension-field theory (Reissner, On tension field theory, 1938;
-Pipkin, The relaxed energy density for isotropic elastic membranes, 1986), and in graphics Choi and Ko, Stable
-but Responsive Cloth, 2002. A compression ratio of 1 is the thread's own, of 0 a thread that only pulls.
+then the buckling of the sheet and not the thread: tension-field theory (Reissner, On tension field theory,
+1938; Pipkin, The relaxed energy density for isotropic elastic membranes, 1986), and in graphics Choi and Ko,
+Stable but Responsive Cloth, 2002. A ratio of 1 is the thread's own, of 0 a thread that only pulls.
 """
 
 from __future__ import annotations
