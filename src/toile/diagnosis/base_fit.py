@@ -22,8 +22,8 @@ from toile.physics.state import State
 
 Array = NDArray[np.float64]
 
-N_BASE = 5
-"""Shared unknowns of the base: log Y, log S, log B, wind along two directions."""
+N_WIND = 2
+"""Directions of the wind."""
 
 
 @dataclass(frozen=True)
@@ -32,14 +32,14 @@ class BaseFit:
 
     Attributes:
         windows: simulated.
-        start_stiffness: (3,) that the logarithms refer to.
-        values: (5,) log ratios of Y, S, B and wind.
+        start_material: (P,) that the logarithms refer to.
+        values: (P + 2,) log ratios of the material's numbers, and wind.
         cost: negative log-posterior.
         history: cost after every pass.
     """
 
     windows: list[WindowMotion]
-    start_stiffness: Array
+    start_material: Array
     values: Array
     cost: float
     history: tuple[float, ...]
@@ -47,32 +47,46 @@ class BaseFit:
     @property
     def base(self) -> Base:
         """Stiffness and wind."""
-        return base_of(self.start_stiffness, self.values)
+        return base_of(self.start_material, self.values)
 
 
 def base_of(start: Array, values: Array) -> Base:
-    """Stiffness and wind from log ratios and wind components (5,)."""
-    return Base(start * np.exp(values[:3]), values[3:5].copy())
+    """Material and wind from log ratios and wind components (P + 2,)."""
+    n = len(start)
+    return Base(start * np.exp(values[:n]), values[n : n + N_WIND].copy())
+
+
+def n_base(shooting: Shooting) -> int:
+    """Shared unknowns of the base, P + 2: logarithms of the material's numbers, wind along two directions."""
+    return len(shooting.simulator.cloth.energies.parameters) + N_WIND
 
 
 def base_deviations(shooting: Shooting) -> Array:
-    """Prior standard deviations (5,)."""
-    s = shooting.settings
-    return np.array([s.stiffness] * 3 + [s.wind] * 2)
+    """Prior standard deviations (P + 2,)."""
+    s, parameters = shooting.settings, shooting.simulator.cloth.energies.parameters
+    return np.array([s.stiffness if p.unit else s.compression for p in parameters] + [s.wind] * N_WIND)
+
+
+def longest_step(shooting: Shooting, wind: float) -> Array:
+    """By how much one step may change the base values (P + 2,), the wind by ``wind`` [m/s²]."""
+    n = n_base(shooting) - N_WIND
+    return np.array([shooting.settings.longest_stiffness] * n + [wind] * N_WIND)
 
 
 def base_sensitivities(
     shooting: Shooting, base: Base, masses: Array | None = None
 ) -> Callable[[StepForces], Array]:
-    """Force sensitivities (5, N, 3) of the base's values; masses (N,) [kg] if not those of the base model.
+    """Force sensitivities (P + 2, N, 3) of the base's values; masses (N,) [kg] if not the base model's.
 
     Stiffer threads do not pull more where they are as long as in the template, see template_tension.
     """
     masses = shooting.masses if masses is None else masses
     wind = np.stack([masses[:, None] * axis for axis in shooting.horizontal])
+    energies, material = shooting.simulator.cloth.energies, torch.from_numpy(base.material)
+    slopes = torch.autograd.functional.jacobian(energies.coefficients, material) * material
 
     def sensitivities(step: StepForces) -> Array:
-        stiffer = -base.stiffness[:, None, None] * step.unit_gradients
+        stiffer = -np.tensordot(slopes.numpy().T, step.unit_gradients, 1)
         if shooting.tension is not None:
             stiffer[0] -= shooting.tension.force(step.positions, shooting.simulator.cloth)
         return np.concatenate((stiffer, wind))
@@ -102,7 +116,7 @@ def local_scales(shooting: Shooting, n: int) -> Array:
 def fit_base(
     shooting: Shooting,
     start_positions: Array,
-    stiffness: Array,
+    material: Array,
     n_frames: int,
     report: Callable[[str, float], None],
     coarser: BaseFit | None = None,
@@ -114,7 +128,7 @@ def fit_base(
     Args:
         shooting: see Shooting.
         start_positions: frame 0 (N, 3) [m], at rest.
-        stiffness: start values (3,) Y [N/m], S, B [N·m].
+        material: start values (P,) in SI units.
         n_frames: frames used.
         report: called with a message and the cost.
         coarser: fit on a coarser grid to start from.
@@ -122,20 +136,20 @@ def fit_base(
             a first one, and goes through the clip once.
         workers: share the windows of a pass; those of a sweep come one after the other.
     """
-    values = np.zeros(N_BASE) if coarser is None else coarser.values
+    values = np.zeros(n_base(shooting)) if coarser is None else coarser.values
     windows: list[WindowMotion] = [] if coarser is None else coarser.windows
     for _ in range(shooting.settings.sweeps if coarser is None and passes is None else 1):
-        windows, values = _sweep(shooting, start_positions, stiffness, values, windows, n_frames, report)
+        windows, values = _sweep(shooting, start_positions, material, values, windows, n_frames, report)
     # What was learnt on the way holds for the windows before as well.
-    base = base_of(stiffness, values)
+    base = base_of(material, values)
     windows = list(workers.map(lambda w: shooting.simulate(w, w.standardised, base), windows))
-    return improved(shooting, windows, stiffness, values, report, passes, workers)
+    return improved(shooting, windows, material, values, report, passes, workers)
 
 
 def improved(
     shooting: Shooting,
     windows: list[WindowMotion],
-    stiffness: Array,
+    material: Array,
     values: Array,
     report: Callable[[str, float], None],
     passes: int | None = None,
@@ -146,30 +160,28 @@ def improved(
     Args:
         shooting: the problem.
         windows: simulated with the values.
-        stiffness: that the logarithms refer to (3,).
-        values: log ratios of Y, S, B and wind (5,).
+        material: that the logarithms refer to (P,).
+        values: log ratios of the material's numbers, and wind (P + 2,).
         report: called with a message and the cost.
         passes: at most, None for those of the settings.
         workers: share the windows.
     """
     s, deviation = shooting.settings, base_deviations(shooting)
-    longest = np.array([s.longest_stiffness] * 3 + [np.inf] * 2)
+    longest = longest_step(shooting, np.inf)
     cost = shooting.clip_cost(windows)
     history = [cost]
     damping = 0.0
     little: list[bool] = []
     for _ in range(s.passes if passes is None else passes):
-        base = base_of(stiffness, values)
-        sensitivities = base_sensitivities(shooting, base)
-        systems = window_systems(
-            shooting, windows, base, [sensitivities] * len(windows), nothing_seen, N_BASE, workers=workers
-        )
+        base = base_of(material, values)
+        shared = [base_sensitivities(shooting, base)] * len(windows)
+        systems = window_systems(shooting, windows, base, shared, nothing_seen, len(values), workers=workers)
         evidence = Evidence(systems, values, deviation)
         before = cost + 0.5 * float(((values / deviation) ** 2).sum())
         for _ in range(s.damping.tried):
             # All together: shared unknowns that hold back while local ones go all the way may get stuck.
             trial, _, changes = evidence.towards((), fitted_discrepancy(shooting), damping, longest)
-            moved = changed_windows(shooting, windows, changes, base_of(stiffness, trial), workers=workers)
+            moved = changed_windows(shooting, windows, changes, base_of(material, trial), workers=workers)
             trial_cost = shooting.clip_cost(moved)
             after = trial_cost + 0.5 * float(((trial / deviation) ** 2).sum())
             if after < before and all(w.converged for w in moved):
@@ -185,7 +197,7 @@ def improved(
         if little[-1] and (damping == 0 or all(little[-2:])):
             break
         damping = s.damping.less(damping)
-    return BaseFit(windows, stiffness, values, cost, tuple(history))
+    return BaseFit(windows, material, values, cost, tuple(history))
 
 
 def fitted_discrepancy(shooting: Shooting) -> Discrepancy:
@@ -279,7 +291,7 @@ def _at_rest(shooting: Shooting, positions: Array) -> State:
 def _sweep(
     shooting: Shooting,
     start_positions: Array,
-    stiffness: Array,
+    material: Array,
     values: Array,
     before: list[WindowMotion],
     n_frames: int,
@@ -289,7 +301,8 @@ def _sweep(
     s, state = shooting.settings, _at_rest(shooting, start_positions)
     deviation = base_deviations(shooting)
     precision = np.diag(deviation**-2)
-    mean = np.zeros(N_BASE)
+    nb = len(values)
+    mean = np.zeros(nb)
     windows: list[WindowMotion] = []
     for index, (first, last) in enumerate(window_bounds(n_frames, s.window)):
         n = last - first
@@ -298,7 +311,7 @@ def _sweep(
         # Where the window starts has been learnt by the window before.
         standardised[: 2 * shooting.n_fields] = 0.0
         window = WindowMotion(first, last, state, standardised)
-        window = shooting.simulate(window, standardised, base_of(stiffness, values))
+        window = shooting.simulate(window, standardised, base_of(material, values))
         prior = precision.copy()
         about = mean.copy()
 
@@ -308,23 +321,23 @@ def _sweep(
         cost = total(window, values)
         information = np.zeros_like(prior)
         for _ in range(s.iterations):
-            base = base_of(stiffness, values)
-            G, g, _ = shooting.normal(window, base, base_sensitivities(shooting, base), nothing_seen, N_BASE)
-            L = np.concatenate((np.ones(N_BASE), scales))
+            base = base_of(material, values)
+            G, g, _ = shooting.normal(window, base, base_sensitivities(shooting, base), nothing_seen, nb)
+            L = np.concatenate((np.ones(nb), scales))
             H = L[:, None] * G * L
             right = -L * g
-            H[N_BASE:, N_BASE:] += np.eye(len(scales))
-            right[N_BASE:] -= window.standardised
-            inner = positive_factor(H[N_BASE:, N_BASE:])
-            information = H[:N_BASE, :N_BASE] - H[:N_BASE, N_BASE:] @ cho_solve(inner, H[N_BASE:, :N_BASE])
-            H[:N_BASE, :N_BASE] += prior
-            right[:N_BASE] -= prior @ (values - about)
+            H[nb:, nb:] += np.eye(len(scales))
+            right[nb:] -= window.standardised
+            inner = positive_factor(H[nb:, nb:])
+            information = H[:nb, :nb] - H[:nb, nb:] @ cho_solve(inner, H[nb:, :nb])
+            H[:nb, :nb] += prior
+            right[:nb] -= prior @ (values - about)
             step = cho_solve(positive_factor(H), right)
-            length = min(1.0, s.longest_stiffness / max(float(np.abs(step[:3]).max()), 1e-9))
+            length = min(1.0, s.longest_stiffness / max(float(np.abs(step[: nb - N_WIND]).max()), 1e-9))
             for _ in range(s.window_steps):
-                trial_values = values + length * step[:N_BASE]
+                trial_values = values + length * step[:nb]
                 trial = shooting.simulate(
-                    window, window.standardised + length * step[N_BASE:], base_of(stiffness, trial_values)
+                    window, window.standardised + length * step[nb:], base_of(material, trial_values)
                 )
                 trial_cost = total(trial, trial_values)
                 if trial.converged and trial_cost < cost:

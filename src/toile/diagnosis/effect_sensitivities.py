@@ -45,7 +45,7 @@ class Instant:
         step: what acted.
         time: of its end since frame 0 [s].
         time_step: h [s].
-        stiffness: (3,) Y [N/m], S, B [N·m].
+        material: (P,) what the cloth's law depends on, in SI units.
         acceleration: gravity and wind (3,) [m/s²].
         boundary: pinned positions at its end (n_pinned, 3) [m].
         after: what changes the elements after the effect.
@@ -54,7 +54,7 @@ class Instant:
     step: StepForces
     time: float
     time_step: float
-    stiffness: Array
+    material: Array
     acceleration: Array
     boundary: Array
     after: tuple[ElementTerm, ...] = ()
@@ -152,10 +152,9 @@ def apparent_sensitivities(effect: CameraEffect, positions: Array, template: Arr
 
 def _context(instant: Instant, cloth: Cloth) -> StepContext:
     step = instant.step
-    k = torch.from_numpy(instant.stiffness)
     return StepContext(
         cloth=cloth,
-        material=Material(cloth.energies.parameters, k[None]),
+        material=Material(cloth.energies.parameters, torch.from_numpy(instant.material)[None]),
         positions=torch.from_numpy(step.before),
         velocities=torch.from_numpy(step.velocities),
         time=instant.time,

@@ -12,7 +12,6 @@ from torch import Tensor
 
 from toile.diagnosis.shooting import Base, Shooting, changed_simulation
 from toile.effects.base import Effect, Surroundings
-from toile.physics.material import Material
 from toile.physics.rollout import rollout
 from toile.physics.simulator import StepStatus
 from toile.physics.state import State
@@ -63,11 +62,10 @@ def predict(
     simulator, _, forces, boundary = changed_simulation(
         shooting, effects, around, torch.from_numpy(wind if extra is None else wind + extra)
     )
-    k = torch.from_numpy(base.stiffness)[None]
     motion = rollout(
         simulator,
         start,
-        Material(simulator.cloth.energies.parameters, k),
+        base.material_of(simulator.cloth),
         forces[None, first:last],
         boundary[None, first : last + 1],
         shooting.substeps,

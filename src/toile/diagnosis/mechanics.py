@@ -10,11 +10,11 @@ import torch
 from numpy.typing import NDArray
 
 from toile.diagnosis.base_fit import (
-    N_BASE,
     BaseFit,
     base_deviations,
     base_sensitivities,
     fit_base,
+    n_base,
     window_systems,
 )
 from toile.diagnosis.continuity import WindowSystem
@@ -103,7 +103,7 @@ def analyse_mechanics(
     for grid, tracked in levels:
         last = grid is levels[-1][0]
         shooting = shooting_of(scene, grid, tracked, settings, longest_substep)
-        start = np.array(stiffness) * (1.0, grid.units.length**2, 1.0)
+        start = start_material(grid, stiffness)
         passes = None if last else 0
         fit = fit_base(shooting, tracked.positions[0], start, n_frames, report, fit, passes, workers)
     assert fit is not None
@@ -113,6 +113,18 @@ def analyse_mechanics(
     around = surroundings(scene, grid)
     systems = effect_systems(shooting, fit, (), around, None, 0, workers)
     return mechanics_around(shooting, fit, systems, effects, around, hypotheses)
+
+
+def start_material(grid: ModelGrid, stiffness: tuple[float, float, float]) -> Array:
+    """Where a fit begins, (P,): stiffnesses, and what else the law has at its defaults.
+
+    Args:
+        grid: of the model.
+        stiffness: Y [N/m], S per cell area [N/m], B [N·m].
+    """
+    y, s, b = stiffness
+    values = {"stretching": y, "shearing": s * grid.units.length**2, "bending": b}
+    return grid.cloth.material(**values).values[0].numpy()
 
 
 def shooting_of(
@@ -227,7 +239,7 @@ def effect_systems(
         def sensitivities(step: StepForces) -> Array:
             time = window.first / around.fps + (step.index + 1) * h
             boundary = step.positions[pinned]
-            now = Instant(step, time, h, base.stiffness, acceleration, boundary, after)
+            now = Instant(step, time, h, base.material, acceleration, boundary, after)
             return np.concatenate((of_base(step), *(force_sensitivities(e, now, around) for e in forces)))
 
         return sensitivities
@@ -240,5 +252,5 @@ def effect_systems(
 
     of_windows = [shared(window) for window in fit.windows]
     return window_systems(
-        shooting, fit.windows, base, of_windows, seen, N_BASE + n_effects, simulator, workers
+        shooting, fit.windows, base, of_windows, seen, n_base(shooting) + n_effects, simulator, workers
     )

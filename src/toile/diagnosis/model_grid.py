@@ -60,7 +60,7 @@ def model_grid(scene: Scene, fine: Cloth, side: int | None) -> ModelGrid:
 
     Args:
         scene: its grid and pinned vertices are used.
-        fine: the scene's cloth; areal density, rest lengths.
+        fine: the scene's cloth; areal density, rest lengths, law.
         side: vertices.
     """
     H, W = scene.grid
@@ -77,7 +77,7 @@ def model_grid(scene: Scene, fine: Cloth, side: int | None) -> ModelGrid:
     area = size[0] * size[1]
     density = float(fine.masses.sum()) / area
     pinned = tuple(_nearest(int(k), (H, W), (h, w)) for k in fine.pinned)
-    cloth = grid_cloth((h, w), size, density, pinned, torch.from_numpy(lengths))
+    cloth = grid_cloth((h, w), size, density, pinned, torch.from_numpy(lengths), fine.law)
     cell = area / ((h - 1) * (w - 1))
     units = NetworkUnits(density * cell, cell**0.5, PAPER_TIME_STEP)
     to_scene, to_model = np.asarray(prolong, np.float64), np.asarray(restrict, np.float64)

@@ -69,7 +69,7 @@ def refined(
         windows = _finer_windows(shooting, finer, fit.windows, fit.base, workers)
         if _distance(shooting, fit.windows, finer, windows) <= tolerance:
             break
-        fit = improved(finer, windows, fit.start_stiffness, fit.values, report, workers=workers)
+        fit = improved(finer, windows, fit.start_material, fit.values, report, workers=workers)
         shooting = finer
     return shooting, fit
 

@@ -60,7 +60,7 @@ class DiagnosisProblem:
         self.reconstruction, self.scene = reconstruction, reconstruction.scene
         self.recipe, self.effects, self.settings = recipe, tuple(effects), settings
         self.n_fitted = fitted_frames(self.scene.n_frames, settings.held_out, settings.fewest_frames)
-        _start_stiffness(reconstruction, settings.stiffness)
+        _start_material(reconstruction, settings.stiffness)
         self.made_from = _fingerprints(reconstruction, recipe)
         self.candidates = {"candidates": fingerprint(self.effects)}
         self.levels = cache(self._levels)
@@ -209,7 +209,7 @@ def _fingerprints(reconstruction: Reconstruction, recipe: TrackingRecipe) -> Map
     }
 
 
-def _start_stiffness(reconstruction: Reconstruction, stiffness: tuple[float, float, float]) -> None:
+def _start_material(reconstruction: Reconstruction, stiffness: tuple[float, float, float]) -> None:
     """Track with the same fabric whatever the scene's grid."""
     p = reconstruction.parameters
     cell = p.units.length**2

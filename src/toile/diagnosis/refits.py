@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from toile.diagnosis.base_fit import base_of, changed_windows
+from toile.diagnosis.base_fit import base_of, changed_windows, longest_step
 from toile.diagnosis.continuity import Discrepancy, WindowSystem
 from toile.diagnosis.evidence import Evidence, Posterior
 from toile.diagnosis.mechanics import Mechanics, effect_systems
@@ -155,7 +155,7 @@ class _Place:
 
     Attributes:
         windows: simulated.
-        values: of the base (5,).
+        values: of the base (P + 2,).
         coefficients: of the effect in prior deviations (n,).
         effects: in the simulator.
         systems: around there.
@@ -254,7 +254,7 @@ class Refitting:
         at = [c - n_base for c in place.best.free]
         mean[at] = place.best.mean
         covariance[np.ix_(at, at)] = place.best.covariance
-        base = base_of(self._mechanics.fit.start_stiffness, place.values)
+        base = base_of(self._mechanics.fit.start_material, place.values)
         return Refit(
             place.effects,
             base,
@@ -359,9 +359,9 @@ def _step(
     workers: Workers = ALONE,
 ) -> _Moved | None:
     """One pass; None where no step lowers the cost."""
-    shooting, start = mechanics.shooting, mechanics.fit.start_stiffness
+    shooting, start = mechanics.shooting, mechanics.fit.start_material
     damped = shooting.settings.damping
-    longest = np.array([shooting.settings.longest_stiffness] * 3 + [settings.longest_wind] * 2)
+    longest = longest_step(shooting, settings.longest_wind)
     at = [c - evidence.n_base for c in best.free]
 
     def cost(moved: list[WindowMotion], base: Array, own: Array) -> float:

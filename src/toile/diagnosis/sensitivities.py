@@ -141,7 +141,7 @@ class KnownMotion:
     Args:
         simulator: cloth, time step, integrator and step terms.
         positions: of all sub-steps (S + 1, N, 3) [m].
-        stiffness: Y [N/m], S, B [N·m].
+        material: (P,) what the cloth's law depends on, in SI units.
         past: positions before the first one, latest first (K, N, 3) [m]; None: at rest.
         steps: taken before; multistep methods begin with formulas of their own.
         past_step: between the positions before the first one [s]; None: the time step.
@@ -152,7 +152,7 @@ class KnownMotion:
         self,
         simulator: LinearizableSimulator,
         positions: Array,
-        stiffness: Array,
+        material: Array,
         past: Array | None = None,
         steps: int = 0,
         past_step: float | None = None,
@@ -162,7 +162,11 @@ class KnownMotion:
         self.settings = settings
         self.past_step = simulator.time_step if past_step is None else past_step
         self.positions = positions
-        self.stiffness = stiffness
+        energies = simulator.cloth.energies
+        self.material = Material(
+            energies.parameters, torch.from_numpy(np.asarray(material, np.float64))[None]
+        )
+        self.stiffness = energies.coefficients(self.material.values)[0].numpy()
         self.n_steps = len(positions) - 1
         k = simulator.integrator.history
         before = np.repeat(positions[:1], k - 1, 0) if past is None else past[: k - 1][::-1]
@@ -187,10 +191,7 @@ class KnownMotion:
         simulator = self.simulator
         return StepContext(
             cloth=simulator.cloth,
-            material=Material(
-                simulator.cloth.energies.parameters,
-                torch.from_numpy(np.asarray(self.stiffness, np.float64))[None],
-            ),
+            material=self.material,
             positions=torch.from_numpy(self.positions[n]),
             velocities=torch.from_numpy(self._velocity(n)),
             time=(self._before + n + 1) * simulator.time_step,

@@ -52,6 +52,7 @@ class ShootingSettings:
         jump_velocity: of its velocities [m/s].
         boundary: of the boundary positions at a knot [m].
         stiffness: of log Y, S, B.
+        compression: of the logarithms of compression ratios, where the cloth's law has any.
         wind: of each horizontal component [m/s²].
         force: of each mode of the force per mass while the base is fitted [m/s²].
         external: of those among them that disturb the balance of torques [m/s²]; see force_modes.
@@ -84,6 +85,7 @@ class ShootingSettings:
     jump_velocity: Annotated[Positive, Unit("m/s")] = 0.006
     boundary: Annotated[Positive, Unit("m")] = 0.003
     stiffness: Positive = 1.0
+    compression: Positive = 1.0
     wind: Annotated[Positive, Unit("m/s²")] = 2.0
     force: Annotated[Positive, Unit("m/s²")] = 0.7
     external: Annotated[Positive, Unit("m/s²")] = 0.1
@@ -106,15 +108,20 @@ class ShootingSettings:
 
 @dataclass(frozen=True)
 class Base:
-    """Shared unknowns: stiffnesses in SI units and constant wind.
+    """Shared unknowns: what the cloth's law depends on, and constant wind.
 
     Attributes:
-        stiffness: (3,) Y [N/m], S, B [N·m].
+        material: (P,) in SI units, in the order of the law's parameters: Y [N/m], S, B [N·m], and compression
+            ratios where the law has any.
         wind: (2,) along the two horizontal directions [m/s²].
     """
 
-    stiffness: Array
+    material: Array
     wind: Array
+
+    def material_of(self, cloth: Cloth) -> Material:
+        """The material of a cloth of that law, batch of one."""
+        return Material(cloth.energies.parameters, torch.from_numpy(self.material)[None])
 
 
 @dataclass
@@ -302,7 +309,6 @@ class Shooting:
         """
         state, boundary, force = self.local(window, standardised)
         wind = base.wind @ self.horizontal
-        k = torch.from_numpy(base.stiffness)[:, None]
         simulator, forces = (
             self.simulator,
             torch.from_numpy(self.masses[:, None] * (self.gravity + wind + force)),
@@ -320,7 +326,7 @@ class Shooting:
         motion = rollout(
             simulator,
             state,
-            Material(simulator.cloth.energies.parameters, k.T),
+            base.material_of(simulator.cloth),
             forces[None],
             pinned[None],
             self.substeps,
@@ -434,7 +440,7 @@ class Shooting:
         motion = KnownMotion(
             simulator,
             window.positions,
-            base.stiffness,
+            base.material,
             window.start.past[0].numpy(),
             window.start.steps,
             self.simulator.time_step,

@@ -43,7 +43,7 @@ class TemplateTension(ElementTerm):
 
     def force(self, positions: Array, cloth: Cloth) -> Array:
         """Force of the tension alone (N, 3) [N]."""
-        edges = cloth.stencils.edges.numpy()
+        edges = cloth.energies.named("stretching").stencil.numpy()
         along = positions[edges[:, 1]] - positions[edges[:, 0]]
         along *= (self.tensions.numpy() / np.linalg.norm(along, axis=1))[:, None]
         force = np.zeros_like(positions)
@@ -71,7 +71,7 @@ def template_tension(
     assembly = Assembly.of(cloth)
     free = np.ones(len(masses), bool)
     free[cloth.pinned.numpy()] = False
-    edges = cloth.stencils.edges.numpy()
+    edges = cloth.energies.named("stretching").stencil.numpy()
     along = template[edges[:, 1]] - template[edges[:, 0]]
     along /= np.linalg.norm(along, axis=1)[:, None]
     n = len(edges)
@@ -79,7 +79,8 @@ def template_tension(
     for axis in range(3):
         pulls[edges[:, 0], axis, np.arange(n)] += along[:, axis]
         pulls[edges[:, 1], axis, np.arange(n)] -= along[:, axis]
-    others = [-gradient for gradient in assembly.gradients(template)[1:]]
+    beyond = cloth.energies.named("stretching").n_coefficients
+    others = [-gradient for gradient in assembly.gradients(template)[beyond:]]
     winds = [masses[:, None] * axis for axis in horizontal]
     others += [*winds, *(-wind for wind in winds)]
     beside = np.stack(others, -1)

@@ -31,12 +31,14 @@ class Cloth:
         energies: what resists its deformation, element by element.
         masses: (N,) float64 [kg].
         pinned: (n_pinned,) int64, vertices whose motion is prescribed.
+        law: of a grid: makes its energies, on another grid as well.
     """
 
     topology: Topology
     energies: InternalEnergy
     masses: Tensor
     pinned: Tensor
+    law: GridLaw = angles
 
     def __post_init__(self) -> None:
         n = self.topology.n_vertices
@@ -152,6 +154,7 @@ def grid_cloth(
         energies=law(grid, rest_lengths.to(torch.float64)),
         masses=grid_masses(*grid, cloth_size, areal_density),
         pinned=torch.tensor(pinned, dtype=torch.int64),
+        law=law,
     )
 
 

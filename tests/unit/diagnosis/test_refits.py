@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from toile.diagnosis.base_fit import N_BASE, BaseFit, base_deviations, base_of, fit_base, improved
+from toile.diagnosis.base_fit import BaseFit, base_deviations, base_of, fit_base, improved, n_base
 from toile.diagnosis.continuity import Discrepancy
 from toile.diagnosis.effect_size import effect_size
 from toile.diagnosis.evidence import Evidence
@@ -74,7 +74,7 @@ def mechanics() -> Mechanics:
         at += len(candidate.scales)
     systems = effect_systems(shooting, fit, effects, around, None, at)
     evidence = Evidence(systems, fit.values, base_deviations(shooting))
-    assert evidence.n_base == N_BASE
+    assert evidence.n_base == n_base(shooting)
     found = Mechanics(shooting, fit, evidence, coefficients, {e.NAME: e for e in effects}, around)
     return converged(found, None, USUAL, 3)
 
@@ -123,7 +123,7 @@ def test_the_size_of_an_effect_is_how_far_it_moves_the_cloth(mechanics: Mechanic
 def test_passes_end_and_steps_are_as_long_as_the_settings_say(mechanics: Mechanics) -> None:
     s, fit = mechanics.shooting, mechanics.fit
     start = fit.values + np.array([0.5, 0.0, 0.0, 0.0, 0.0])
-    base = base_of(fit.start_stiffness, start)
+    base = base_of(fit.start_material, start)
 
     def passes(**settings: float) -> BaseFit:
         changed = replace(s.settings, **settings)
@@ -131,7 +131,7 @@ def test_passes_end_and_steps_are_as_long_as_the_settings_say(mechanics: Mechani
             s.simulator, s.substeps, s.gravity, s.horizontal, s.grid, s.boundary, s.tracked, changed
         )
         windows = [shooting.simulate(w, w.standardised, base) for w in fit.windows]
-        return improved(shooting, windows, fit.start_stiffness, start, lambda what, cost: None, passes=2)
+        return improved(shooting, windows, fit.start_material, start, lambda what, cost: None, passes=2)
 
     short = passes(longest_stiffness=1e-3)
     assert 0 < np.abs(short.values - start)[:3].max() <= 2.001e-3

@@ -33,6 +33,15 @@ def spring_energies(positions: Tensor, ends: Tensor, rest_lengths: Tensor) -> tu
     return 0.5 * stretch.clamp(min=0.0) ** 2, 0.5 * stretch.clamp(max=0.0) ** 2
 
 
+def _with_compression(values: Tensor) -> Tensor:
+    """Stiffnesses (..., 2) in tension and in compression from (..., 2) that in tension and the ratio.
+
+    A ratio beyond 1 counts as 1: Gauss-Newton in logarithms knows no bounds.
+    """
+    stiffness, ratio = values.unbind(-1)
+    return torch.stack((stiffness, stiffness * ratio.clamp(max=1.0)), -1)
+
+
 class TautStretching(EnergyTerm):
     """Stretching of warp and weft with a compression ratio: element (k, l) of rest length L₀ [m]."""
 
@@ -45,7 +54,7 @@ class TautStretching(EnergyTerm):
 
     def coefficients(self, values: Tensor) -> Tensor:
         """See EnergyTerm: Y in tension, c_Y Y in compression [N/m]."""
-        return torch.stack((values[..., 0], values[..., 0] * values[..., 1]), -1)
+        return _with_compression(values)
 
     def energy(self, positions: Tensor, coefficients: Tensor, factors: Tensor, rest: Tensor) -> Tensor:
         """See EnergyTerm."""
@@ -84,7 +93,7 @@ class DiagonalShearing(EnergyTerm):
 
     def coefficients(self, values: Tensor) -> Tensor:
         """See EnergyTerm: S in tension, c_S S in compression [N·m]."""
-        return torch.stack((values[..., 0], values[..., 0] * values[..., 1]), -1)
+        return _with_compression(values)
 
     def energy(self, positions: Tensor, coefficients: Tensor, factors: Tensor, rest: Tensor) -> Tensor:
         """See EnergyTerm."""
