@@ -24,7 +24,7 @@ def made_with_of(cfg: DictConfig) -> MadeWith:
             "optimization": {"stages": {str(name): _plain(stage) for name, stage in last.items()}},
             "simulator": _plain(cfg.simulator),
             "renderer": _plain(cfg.renderer),
-            "cloth": {"rest_lengths": _plain(cfg.cloth.rest_lengths)},
+            "cloth": {name: _plain(cfg.cloth[name]) for name in ("law", "rest_lengths")},
             "candidates": sorted(str(name) for name, effect in cfg.candidates.items() if effect is not None),
         }
     )
