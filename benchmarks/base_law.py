@@ -34,9 +34,9 @@ from toile.scenes.scene import Scene
 TWIN = Path("ground_truth") / "null_twin_vertices.npy"
 LAWS: dict[str, tuple[GridLaw, float]] = {
     "angles": (angles, 1.0),
-    "diagonals, no ratio": (taut, 1e-6),
-    "diagonals that only pull": (partial(taut, diagonal_compression=0.0), 1e-6),
-    "taut (0.5, 0.0)": (partial(taut, edge_compression=0.5, diagonal_compression=0.0), 1e-6),
+    "diagonals": (partial(taut, edge_compression=1.0, diagonal_compression=1.0), 1e-6),
+    "diagonals that only pull": (partial(taut, edge_compression=1.0), 1e-6),
+    "taut (0.5, 0.0)": (taut, 1e-6),
     "taut, ratios fitted": (partial(taut, edge_compression=0.5, diagonal_compression=0.1), 1.0),
 }
 """Laws, and the prior deviation of the logarithm of their ratios."""

@@ -31,8 +31,8 @@ def angles(grid: tuple[int, int], rest_lengths: Tensor) -> InternalEnergy:
 def taut(
     grid: tuple[int, int],
     rest_lengths: Tensor,
-    edge_compression: Fraction = 1.0,
-    diagonal_compression: Fraction = 1.0,
+    edge_compression: Fraction = 0.5,
+    diagonal_compression: Fraction = 0.0,
 ) -> InternalEnergy:
     """Edges and diagonals with compression ratios, see springs, and straight lines.
 
