@@ -6,8 +6,7 @@
 
 import warp as wp
 
-from toile.physics.energies.block_kernels import CONVEX_HESSIAN, GRADIENT_ONLY, add_block, outer_block
-from toile.physics.energies.stretching_kernels import edge_terms
+from toile.physics.energies.stretching_kernels import add_edge, edge_terms
 
 
 @wp.func
@@ -48,22 +47,7 @@ def add_spring(
     term = first
     if stretch < wp.float64(0.0):
         term = first + 1
-    g = weight * stretch * u
-    wp.atomic_add(gradients, term, q, g)
-    wp.atomic_add(gradients, term, p, -g)
-    if order == wp.static(GRADIENT_ONLY):
-        return
-    scale = coefficients[term] * weight
-    transverse = stretch / length
-    if order == wp.static(CONVEX_HESSIAN):
-        transverse = wp.max(transverse, wp.float64(0.0))
-    none = wp.vec3d()
-    diagonal = scale * transverse
-    a = (scale - diagonal) * u
-    own = outer_block(u, a, none, none, diagonal)
-    add_block(blocks, slots[e, 0], own)
-    add_block(blocks, slots[e, 1], own)
-    add_block(blocks, slots[e, 2], outer_block(u, -a, none, none, -diagonal))
+    add_edge(length, u, stretch, p, q, e, weight, term, coefficients, order, slots, gradients, blocks)
 
 
 @wp.func

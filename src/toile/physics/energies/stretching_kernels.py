@@ -16,6 +16,41 @@ def edge_terms(d: wp.vec3d, rest: wp.float64):
     return length, d / length, length - rest
 
 
+@wp.func
+def add_edge(
+    length: wp.float64,
+    u: wp.vec3d,
+    stretch: wp.float64,
+    p: wp.int32,
+    q: wp.int32,
+    e: wp.int32,
+    weight: wp.float64,
+    term: wp.int32,
+    coefficients: wp.array(dtype=wp.float64),
+    order: wp.int32,
+    slots: wp.array(dtype=wp.int32, ndim=2),
+    gradients: wp.array(dtype=wp.vec3d, ndim=2),
+    blocks: wp.array(dtype=wp.mat33d),
+):
+    """Add the derivatives of ½ w (‖e‖ - L₀)² for one edge of the terms of ``edge_terms``."""
+    g = weight * stretch * u
+    wp.atomic_add(gradients, term, q, g)
+    wp.atomic_add(gradients, term, p, -g)
+    if order == wp.static(GRADIENT_ONLY):
+        return
+    scale = coefficients[term] * weight
+    transverse = stretch / length
+    if order == wp.static(CONVEX_HESSIAN):
+        transverse = wp.max(transverse, wp.float64(0.0))
+    none = wp.vec3d()
+    diagonal = scale * transverse
+    a = (scale - diagonal) * u
+    own = outer_block(u, a, none, none, diagonal)
+    add_block(blocks, slots[e, 0], own)
+    add_block(blocks, slots[e, 1], own)
+    add_block(blocks, slots[e, 2], outer_block(u, -a, none, none, -diagonal))
+
+
 @wp.kernel(enable_backward=False)
 def stretching_energies(
     x: wp.array(dtype=wp.vec3d),
@@ -50,19 +85,4 @@ def stretching_derivatives(
     q = stencil[e, 1]
     length, u, stretch = edge_terms(x[q] - x[p], rest[e, 0])
     weight = factors[e]
-    g = weight * stretch * u
-    wp.atomic_add(gradients, first, q, g)
-    wp.atomic_add(gradients, first, p, -g)
-    if order == wp.static(GRADIENT_ONLY):
-        return
-    scale = coefficients[first] * weight
-    transverse = stretch / length
-    if order == wp.static(CONVEX_HESSIAN):
-        transverse = wp.max(transverse, wp.float64(0.0))
-    none = wp.vec3d()
-    diagonal = scale * transverse
-    a = (scale - diagonal) * u
-    own = outer_block(u, a, none, none, diagonal)
-    add_block(blocks, slots[e, 0], own)
-    add_block(blocks, slots[e, 1], own)
-    add_block(blocks, slots[e, 2], outer_block(u, -a, none, none, -diagonal))
+    add_edge(length, u, stretch, p, q, e, weight, first, coefficients, order, slots, gradients, blocks)
