@@ -42,9 +42,8 @@ class SuccessiveFramesAdam(Recipe):
     | effects | each coefficient's scale | not there |
 
     The paper moves the pinned vertices by the turbulence stored at them, read as their velocity. Here they
-    have
-    parameters of their own, and Adam acts on their motion from frame to frame: with the paper's learning rate
-    that is the paper's motion, but the force regularisation does not touch it.
+    have parameters of their own, and Adam acts on their motion from frame to frame: with the paper's learning
+    rate that is the paper's motion, but the force regularisation does not touch it.
 
     Where the simulation fails after an update, the update is halved until it succeeds, and a note says so.
 
