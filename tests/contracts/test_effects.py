@@ -314,6 +314,39 @@ def test_tangents_and_adjoints_know_the_terms(name, integrator):
     assert forward == pytest.approx(backward, rel=1e-8)
 
 
+@pytest.mark.parametrize("name", [name for name in VARIANTS if name != "gusts"])
+def test_the_length_of_a_clip_changes_no_other_effect(name):
+    effect = VARIANTS[name]({})
+    assert effect.for_clip(1.58) is effect
+
+
+def test_gusts_reach_the_same_frequency_in_clips_of_any_length():
+    gusts = Gusts({"x_1": 0.3, "z_2": -0.5})
+    assert len(gusts.parameters) == 12
+    for duration, n_modes in ((0.5, 3), (1.5, 9), (79 / 50, 10)):
+        longer = gusts.for_clip(duration)
+        assert len(longer.parameters) == 2 * n_modes == len(longer.values)
+        assert 3.0 <= n_modes / (2 * duration) < 3.0 + 1 / (2 * duration)
+        times = torch.linspace(0, AROUND.n_frames / FPS, 7, dtype=torch.float64)
+        torch.testing.assert_close(
+            longer.acceleration(times, AROUND), gusts.acceleration(times, AROUND), rtol=0, atol=1e-15
+        )
+    # What acts already is never lost.
+    assert float(Gusts({"z_6": 1.0}).for_clip(0.2).value("z_6")) == 1.0
+    assert len(gusts.for_clip(1.58).for_clip(0.5).parameters) == 6
+
+
+def test_a_number_of_modes_that_was_asked_for_stays():
+    listed = OmegaConf.load(CONF / "effect" / "gusts.yaml").gusts
+    assert len(instantiate(listed).for_clip(1.58).parameters) == 20
+    for n_modes in (3, 7):
+        gusts = instantiate({**listed, "n_modes": n_modes})
+        assert len(gusts.parameters) == 2 * n_modes
+        assert gusts.for_clip(1.58) is gusts
+    with pytest.raises(InputError, match="no such parameter"):
+        Gusts({"x_4": 1.0}, n_modes=3)
+
+
 def test_all_mechanical_effects_at_once():
     effects = []
     for make in MAKE.values():

@@ -8,7 +8,7 @@ rays of the camera than across. A slip is a relative displacement that comes wit
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Annotated
 
@@ -24,6 +24,9 @@ from toile.limits import Count, CountOrZero, NonNegative, Positive, Unit
 
 Array = NDArray[np.float64]
 
+_COUNTED_AT = 25.0
+"""Frames per second of the clips whose frames the settings count."""
+
 
 @dataclass(frozen=True)
 class SlipSettings:
@@ -32,8 +35,8 @@ class SlipSettings:
     Lists are tried side by side and averaged over.
 
     Attributes:
-        first_frames: first frames that say nothing: tracking is still leaving the template there.
-        stays: frames after a ramp in which the displacement is seen to stay.
+        first_frames: first frames that say nothing, at 25 fps: tracking is still leaving the template there.
+        stays: frames after a ramp in which the displacement is seen to stay, at 25 fps.
         durations: of ramps [s].
         across: deviations of the errors of tracking across the rays [m].
         memory: times over which those last [s].
@@ -67,6 +70,11 @@ class SlipSettings:
     share: NonNegative = 0.1
     offset: Annotated[NonNegative, Unit("m")] = 0.01
     odds: Annotated[float, Field(ge=1, allow_inf_nan=False)] = 20.0
+
+    def at(self, fps: float) -> SlipSettings:
+        """The same times in the frames of a clip of so many frames per second."""
+        first, stays = (round(frames * fps / _COUNTED_AT) for frames in (self.first_frames, self.stays))
+        return replace(self, first_frames=first, stays=max(1, stays))
 
 
 DEFAULT = SlipSettings()
@@ -133,6 +141,7 @@ def slip_evidence(
         raise InputError(
             "pull has another shape", where="pull", expected=f"({n}, 3)", got=str(np.shape(pull))
         )
+    settings = settings.at(fps)
     ramps = _ramps(F, fps, settings)
     if n < 2 or not ramps:
         return SlipFit(0.0, np.zeros(3), np.eye(3), 0, 0.0, 0.1)

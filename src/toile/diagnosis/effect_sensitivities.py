@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import torch
@@ -28,10 +29,15 @@ from toile.effects.base import (
 from toile.effects.jacobian import jacobian
 from toile.geometry.camera import Camera
 from toile.physics.cloth import Cloth
+from toile.physics.implicit.assembly import Assembly
+from toile.physics.implicit.terms import nominal_elements
 from toile.physics.material import Material
 from toile.physics.step_terms import ElementTerm, StepContext
 
 Array = NDArray[np.float64]
+
+_DIFFERENCE = 1e-4
+"""Of a coefficient, in prior deviations."""
 
 FORCES = (VertexEffect, ElementEffect, ForceEffect, MassEffect, TimeEffect)
 """Kinds of effects that change the motion through forces."""
@@ -77,22 +83,15 @@ def force_sensitivities(effect: Effect, instant: Instant, around: Surroundings) 
     """
     cloth = around.cloth
     masses = cloth.masses
-    if isinstance(effect, VertexEffect | ElementEffect):
+    if isinstance(effect, ElementEffect):
+        return _element_force_sensitivities(effect, instant, cloth)
+    if isinstance(effect, VertexEffect):
         now = _context(instant, cloth)
 
         def force(acting: Effect) -> Tensor:
+            assert isinstance(acting, VertexEffect)
             x = torch.from_numpy(instant.step.positions).clone().requires_grad_()
-            if isinstance(acting, VertexEffect):
-                energy = acting.energy(x, now).sum()
-            else:
-                assert isinstance(acting, ElementEffect)
-                changed = acting.elements(cloth.energies.elements(), now)
-                for term in instant.after:
-                    changed = term.elements(changed, now)
-                energy = cloth.energies.energy(
-                    x, cloth.energies.coefficients(now.material.values[0]), changed
-                )
-            return -torch.autograd.grad(energy, x, create_graph=True)[0]
+            return -torch.autograd.grad(acting.energy(x, now).sum(), x, create_graph=True)[0]
 
         return derivatives(force, effect)
     if isinstance(effect, ForceEffect):
@@ -121,6 +120,35 @@ def force_sensitivities(effect: Effect, instant: Instant, around: Surroundings) 
         # Inertia goes with the inverse square of the time step.
         return 2 * derivatives(longer, effect)[:, None, None] * instant.step.imbalance
     raise TypeError(f"{effect.NAME} does not act through forces")
+
+
+@torch.no_grad()
+def _element_force_sensitivities(effect: ElementEffect, instant: Instant, cloth: Cloth) -> Array:
+    """Forces by central differences of the solver's own kernels, which take microseconds.
+
+    They are smooth in the coefficients, so the error is that of rounding.
+    """
+    assembly, now = _assembly(cloth), _context(instant, cloth)
+    coefficients = cloth.energies.coefficients(now.material.values[0]).numpy()
+    nominal = nominal_elements(instant.after, cloth)
+
+    def force(values: Tensor) -> Array:
+        changed = effect.with_values(values).elements(nominal, now)
+        for term in instant.after:
+            changed = term.elements(changed, now)
+        assembly.set_elements(changed)
+        return -np.tensordot(coefficients, assembly.gradients(instant.step.positions), 1)
+
+    steps = _DIFFERENCE * torch.diag(effect.scales)
+    return np.stack(
+        [(force(effect.values + s) - force(effect.values - s)) / (2 * _DIFFERENCE) for s in steps]
+    )
+
+
+@lru_cache(maxsize=8)
+def _assembly(cloth: Cloth) -> Assembly:
+    """The assembly of a cloth that is asked about again and again."""
+    return Assembly.of(cloth)
 
 
 def apparent_sensitivities(effect: CameraEffect, positions: Array, template: Array, camera: Camera) -> Array:

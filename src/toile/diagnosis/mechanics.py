@@ -207,6 +207,8 @@ def effect_systems(
     camera: Camera | None,
     n_effects: int,
     workers: Workers = ALONE,
+    *,
+    motion: bool = False,
 ) -> list[WindowSystem]:
     """Gauss-Newton systems of all windows with the coefficients of all effects, where they are.
 
@@ -218,6 +220,7 @@ def effect_systems(
         camera: nominal; needed with effects of the camera.
         n_effects: coefficients of all effects.
         workers: share the windows.
+        motion: whether systems keep how every sub-step changes.
     """
     base = fit.base
     simulator = shooting.simulator
@@ -251,6 +254,7 @@ def effect_systems(
         return np.concatenate(found) if found else np.zeros((0, *positions.shape))
 
     of_windows = [shared(window) for window in fit.windows]
+    n_shared = n_base(shooting) + n_effects
     return window_systems(
-        shooting, fit.windows, base, of_windows, seen, n_base(shooting) + n_effects, simulator, workers
+        shooting, fit.windows, base, of_windows, seen, n_shared, simulator, workers, motion=motion
     )

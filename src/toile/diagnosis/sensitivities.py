@@ -242,6 +242,7 @@ class KnownMotion:
         loads: Callable[[StepForces], LoadSensitivities],
         start: Array,
         velocities: Array,
+        substep_changes: list[Single] | None = None,
     ) -> Iterator[tuple[Single, Single]]:
         """Change of the frames first + 1 ... last for every unknown, vertices' own order.
 
@@ -254,6 +255,7 @@ class KnownMotion:
             loads: right-hand sides of a sub-step; the number of active ones never falls.
             start: change of the positions at ``first`` (R, N, 3) [m].
             velocities: of the velocities there (R, N, 3) [m/s].
+            substep_changes: is given the change of the positions of every sub-step (3N, R), if not None.
         """
         assembly = self.simulator.assembly
         pinned = assembly.pinned
@@ -287,6 +289,8 @@ class KnownMotion:
             x[order, :m] = solved
             x[pinned_rows, :m] = boundary.T
             history = [x, *history[:-1]]
+            if substep_changes is not None:
+                substep_changes.append(x)
             ends = (n + 1) % substeps == 0
             if ends or (past is not None and past.remember):
                 formula = self.simulator.integrator.formula(self._before + n)

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.optimize import nnls
+from torch import Tensor
 
 from toile.physics.cloth import Cloth
 from toile.physics.elements import Elements
@@ -27,11 +28,14 @@ RIDGE = 0.003
 class TemplateTension(ElementTerm):
     """Edges that pull with a tension where they are as long as in the template.
 
-    Goes after whatever else changes the elements: the tension is the load's, not the threads'.
+    Goes after whatever else changes the elements: the tension is the load's, not the threads'. Stiffness that
+    depends on strain counts it from the unstretched length, so it knows of the tension, see Elements.
 
     Args:
         tensions: (E,) [N].
     """
+
+    tensions: Tensor
 
     def __init__(self, tensions: Array) -> None:
         self.tensions = torch.from_numpy(tensions)

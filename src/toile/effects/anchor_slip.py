@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar
 import torch
 from torch import Tensor
 
-from toile.effects.base import BoundaryEffect, Parameter, Stage, Surroundings
+from toile.effects.base import BoundaryEffect, Parameter, Scope, Stage, Surroundings
 from toile.errors import InputError
 from toile.limits import CountOrZero, NonNegative, Positive, Unit
 
@@ -25,6 +25,7 @@ class AnchorSlip(BoundaryEffect):
 
     NAME: ClassVar[str] = "anchor_slip"
     STAGE: ClassVar[Stage] = Stage.ACTUATION
+    SCOPE: ClassVar[Scope] = Scope.CLIP
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = tuple(
         Parameter(axis, "m", -0.3, 0.3, 0.02, f"displacement along the camera's {axis} axis")
         for axis in "xyz"

@@ -34,6 +34,14 @@ class Stage(Enum):
     OBSERVATION = "observation"
 
 
+class Scope(Enum):
+    """What an effect belongs to: clips that share it share its parameters."""
+
+    CLOTH = "cloth"
+    DEVICE = "device"
+    CLIP = "clip"
+
+
 @dataclass(frozen=True)
 class Parameter:
     """One parameter of an effect.
@@ -63,6 +71,7 @@ class Effect(ABC):
     Attributes:
         NAME: in the catalogue and of the configuration file.
         STAGE: see Stage.
+        SCOPE: see Scope; of the cloth where a class says nothing else.
         PARAMETERS: all of them are strengths: the effect does nothing where all are 0.
         SOURCE: where the model is from.
         values: (n_parameters,) float64, in the order of ``parameters``; may require gradients.
@@ -70,6 +79,7 @@ class Effect(ABC):
 
     NAME: ClassVar[str]
     STAGE: ClassVar[Stage]
+    SCOPE: ClassVar[Scope] = Scope.CLOTH
     PARAMETERS: ClassVar[tuple[Parameter, ...]]
     SOURCE: ClassVar[str]
 
@@ -107,6 +117,14 @@ class Effect(ABC):
         other = copy.copy(self)
         other.values = values
         return other
+
+    def for_clip(self, duration: float) -> Self:
+        """The same effect with as many parameters as clips of a length ask for; itself for most effects.
+
+        Args:
+            duration: from the first frame to the last one [s], of the longest clip.
+        """
+        return self
 
     def value(self, name: str) -> Tensor:
         """One parameter, ()."""

@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar
 import torch
 from torch import Tensor
 
-from toile.effects.base import Parameter, Stage, VertexEffect
+from toile.effects.base import Parameter, Scope, Stage, VertexEffect
 from toile.effects.obstacles import Obstacle
 from toile.limits import NonNegative, Positive, Unit
 from toile.physics.step_terms import StepContext
@@ -31,6 +31,7 @@ class Contact(VertexEffect):
 
     NAME: ClassVar[str] = "contact"
     STAGE: ClassVar[Stage] = Stage.MECHANICS
+    SCOPE: ClassVar[Scope] = Scope.CLIP
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
         Parameter("stiffness", "1/s²", 0.0, 1e7, 2e4, "k: force per depth and mass; g / k deep under weight"),
         Parameter("friction", "1", 0.0, 3.0, 0.4, "μ: tangential over normal force while it slides"),

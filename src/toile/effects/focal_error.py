@@ -6,7 +6,7 @@ from typing import ClassVar
 
 from torch import Tensor
 
-from toile.effects.base import CameraEffect, Parameter, Stage
+from toile.effects.base import CameraEffect, Parameter, Scope, Stage
 from toile.geometry.camera import Camera
 
 
@@ -15,6 +15,7 @@ class FocalError(CameraEffect):
 
     NAME: ClassVar[str] = "focal_error"
     STAGE: ClassVar[Stage] = Stage.CAMERA
+    SCOPE: ClassVar[Scope] = Scope.DEVICE
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
         Parameter("relative", "1", -0.3, 0.3, 0.02, "true over nominal focal length, minus 1"),
     )

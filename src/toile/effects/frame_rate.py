@@ -7,7 +7,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from toile.effects.base import Parameter, Stage, TimeEffect
+from toile.effects.base import Parameter, Scope, Stage, TimeEffect
 
 
 class FrameRate(TimeEffect):
@@ -15,6 +15,7 @@ class FrameRate(TimeEffect):
 
     NAME: ClassVar[str] = "frame_rate"
     STAGE: ClassVar[Stage] = Stage.MECHANICS
+    SCOPE: ClassVar[Scope] = Scope.DEVICE
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
         Parameter("log_factor", "1", -0.7, 0.7, 0.05, "logarithm of true over nominal time between frames"),
     )

@@ -7,7 +7,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from toile.effects.base import ForceEffect, Parameter, Stage, Surroundings
+from toile.effects.base import ForceEffect, Parameter, Scope, Stage, Surroundings
 from toile.geometry.horizontal import horizontal_axes
 
 
@@ -16,6 +16,7 @@ class GravityTilt(ForceEffect):
 
     NAME: ClassVar[str] = "gravity_tilt"
     STAGE: ClassVar[Stage] = Stage.MECHANICS
+    SCOPE: ClassVar[Scope] = Scope.DEVICE
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
         Parameter("about_x", "deg", -45.0, 45.0, 3.0, "about the camera's x axis, made horizontal"),
         Parameter("about_z", "deg", -45.0, 45.0, 3.0, "about the horizontal axis across that one"),

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import copy
+import math
 from collections.abc import Mapping
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import torch
 from torch import Tensor
 
-from toile.effects.base import ForceEffect, Parameter, Stage, Surroundings
+from toile.effects.base import ForceEffect, Parameter, Scope, Stage, Surroundings
 from toile.errors import InputError
 from toile.geometry.horizontal import horizontal_axes
 from toile.limits import Count
+
+USUAL_MODES = 6
+"""Per horizontal direction, where neither a number is given nor the length of the clips is known."""
+
+HIGHEST = 3.0
+"""Frequency [Hz] up to which clips have modes where their number is not given."""
 
 
 def _parameters(n_modes: int) -> tuple[Parameter, ...]:
@@ -28,33 +36,57 @@ def _parameters(n_modes: int) -> tuple[Parameter, ...]:
 class Gusts(ForceEffect):
     """Uniform horizontal acceleration Σ a_k cos(π k t / T) over a clip of length T, of zero mean.
 
-    Its mean over the clip is the constant wind of the fit and left to that.
+    Its mean over the clip is the constant wind of the fit and left to that. k half waves have the frequency
+    k / (2 T), so a number of modes that is enough for a short clip is too small for a long one.
 
     Args:
         values: see Effect.
-        n_modes: per horizontal direction.
+        n_modes: per horizontal direction; None for 6, or as many as ``for_clip`` finds.
+
+    Raises:
+        InputError: there are no modes, or values of others.
     """
 
     NAME: ClassVar[str] = "gusts"
     STAGE: ClassVar[Stage] = Stage.ACTUATION
-    PARAMETERS: ClassVar[tuple[Parameter, ...]] = _parameters(6)
+    SCOPE: ClassVar[Scope] = Scope.CLIP
+    PARAMETERS: ClassVar[tuple[Parameter, ...]] = _parameters(USUAL_MODES)
     SOURCE: ClassVar[str] = (
         "wind velocity as a sum of harmonics: Shinozuka and Deodatis, Simulation of Stochastic Processes by "
         "Spectral Representation, Applied Mechanics Reviews 44(4), 1991"
     )
 
-    def __init__(self, values: Mapping[str, float] | None = None, n_modes: Count = 6) -> None:
-        if n_modes < 1:
+    def __init__(self, values: Mapping[str, float] | None = None, n_modes: Count | None = None) -> None:
+        if n_modes is not None and n_modes < 1:
             raise InputError(
                 "gusts: too few modes", where="effect=gusts", expected="n_modes >= 1", got=str(n_modes)
             )
-        self._parameters = _parameters(n_modes)
-        super().__init__(values)
+        self._given = n_modes is not None
+        self._parameters = _parameters(USUAL_MODES if n_modes is None else n_modes)
+        # The configuration file lists the usual modes, also where fewer are asked for.
+        listed = {p.name for p in self.PARAMETERS} - {p.name for p in self._parameters}
+        super().__init__({n: v for n, v in (values or {}).items() if v != 0 or n not in listed})
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """See Effect."""
         return self._parameters
+
+    def for_clip(self, duration: float) -> Self:
+        """See Effect: modes up to 3 Hz where no number of them was given; amplitudes stay as they are."""
+        if self._given:
+            return self
+        amplitudes = self.values.reshape(2, -1)
+        # A product such as 6 × 1.5 s may come out a hair above the whole number.
+        needed = math.ceil(2 * HIGHEST * duration - 1e-6)
+        acting = [k + 1 for k in range(amplitudes.shape[1]) if bool(amplitudes[:, k].any())]
+        n_modes = max(1, needed, *acting)
+        values = amplitudes.new_zeros(2, n_modes)
+        n_kept = min(n_modes, amplitudes.shape[1])
+        values[:, :n_kept] = amplitudes[:, :n_kept]
+        other = copy.copy(self)
+        other._parameters = _parameters(n_modes)
+        return other.with_values(values.reshape(-1))
 
     def acceleration(self, times: Tensor, around: Surroundings) -> Tensor:
         """See ForceEffect."""

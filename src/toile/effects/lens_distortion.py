@@ -6,7 +6,7 @@ from typing import ClassVar
 
 from torch import Tensor
 
-from toile.effects.base import CameraEffect, Parameter, Stage
+from toile.effects.base import CameraEffect, Parameter, Scope, Stage
 from toile.geometry.camera import Camera
 
 
@@ -15,6 +15,7 @@ class LensDistortion(CameraEffect):
 
     NAME: ClassVar[str] = "lens_distortion"
     STAGE: ClassVar[Stage] = Stage.CAMERA
+    SCOPE: ClassVar[Scope] = Scope.DEVICE
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
         Parameter("k1", "1", -1.0, 1.0, 0.1, "second order; negative is a barrel"),
         Parameter("k2", "1", -2.0, 2.0, 0.1, "fourth order"),

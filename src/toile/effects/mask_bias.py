@@ -6,7 +6,7 @@ from typing import ClassVar
 
 from torch import Tensor
 
-from toile.effects.base import MaskEffect, Parameter, Stage
+from toile.effects.base import MaskEffect, Parameter, Scope, Stage
 
 
 class MaskBias(MaskEffect):
@@ -14,6 +14,7 @@ class MaskBias(MaskEffect):
 
     NAME: ClassVar[str] = "mask_bias"
     STAGE: ClassVar[Stage] = Stage.OBSERVATION
+    SCOPE: ClassVar[Scope] = Scope.DEVICE
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
         Parameter("growth", "px", -10.0, 10.0, 1.0, "distance by which the mask reaches beyond the cloth"),
     )

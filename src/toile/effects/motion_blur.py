@@ -6,7 +6,7 @@ from typing import ClassVar
 
 from torch import Tensor
 
-from toile.effects.base import ExposureEffect, Parameter, Stage
+from toile.effects.base import ExposureEffect, Parameter, Scope, Stage
 
 
 class MotionBlur(ExposureEffect):
@@ -14,6 +14,7 @@ class MotionBlur(ExposureEffect):
 
     NAME: ClassVar[str] = "motion_blur"
     STAGE: ClassVar[Stage] = Stage.APPEARANCE
+    SCOPE: ClassVar[Scope] = Scope.DEVICE
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
         Parameter("fraction", "1", 0.0, 1.0, 0.3, "exposure over frame interval (shutter angle over 360°)"),
     )

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 from torch import Tensor
 
-from toile.effects.base import BrightnessEffect, Parameter, Stage
+from toile.effects.base import BrightnessEffect, Parameter, Scope, Stage
 
 
 class Shading(BrightnessEffect):
@@ -18,6 +18,7 @@ class Shading(BrightnessEffect):
 
     NAME: ClassVar[str] = "shading"
     STAGE: ClassVar[Stage] = Stage.APPEARANCE
+    SCOPE: ClassVar[Scope] = Scope.DEVICE
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = tuple(
         Parameter(axis, "1", -2.0, 2.0, 0.3, f"light along the camera's {axis} axis, relative to all light")
         for axis in "xyz"

@@ -14,6 +14,10 @@ class StrainStiffening(ElementEffect):
 
     The strain is that at the step's begin. The tension is then Y L₀ (ε + a ε³), the first odd term of a
     measured curve, which stiffens in tension and compression alike.
+
+    Where the rest shape is under a tension T already, strain counts from the unstretched length, which T
+    implies to first order: ε₀ = T / (Y L₀). T itself is the load's and stays, so the stiffness is that of the
+    curve's chord from ε₀ to ε₀ + ε: Y (1 + a (3 ε₀² + 3 ε₀ ε + ε²)), that of a tangent where ε is 0.
     """
 
     NAME: ClassVar[str] = "strain_stiffening"
@@ -34,6 +38,9 @@ class StrainStiffening(ElementEffect):
         stretching, shearing = self.values
         of = now.cloth.energies.named
         strain, angle = of("stretching").strain(now.positions), of("shearing").strain(now.positions)
-        return elements.scaled(
-            stretching=(1 + stretching * strain.square()), shearing=(1 + shearing * angle.square())
-        )
+        growth = strain.square()
+        if elements.tensions is not None:
+            stiffness = now.material["stretching"].detach()
+            before = elements.tensions / (stiffness * of("stretching").rest)
+            growth = growth + 3 * before * (before + strain)
+        return elements.scaled(stretching=(1 + stretching * growth), shearing=(1 + shearing * angle.square()))

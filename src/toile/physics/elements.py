@@ -15,10 +15,12 @@ class Elements:
     Attributes:
         factors: on all stiffnesses of the energy, (E,).
         rest: rest shape in the energy's own units, (E,) or (E, R); see each energy.
+        tensions: of edges that are as long as in the cloth's rest shape (E,) [N]; None where they have none.
     """
 
     factors: Mapping[str, Tensor]
     rest: Mapping[str, Tensor]
+    tensions: Tensor | None = None
 
     def scaled(self, **by: Tensor | float) -> Elements:
         """With the factors of some energies multiplied by (E,) or a number."""

@@ -105,9 +105,12 @@ class ElementTerm(ABC):
 
     Attributes:
         values: numbers inside the term (n,) that derivatives are taken by.
+        tensions: that the term gives to edges which are as long as in the cloth's rest shape (E,) [N]; all
+            terms know of them, see Elements.
     """
 
     values: Tensor = torch.zeros(0, dtype=torch.float64)
+    tensions: Tensor | None = None
 
     @abstractmethod
     def elements(self, elements: Elements, now: StepContext) -> Elements:

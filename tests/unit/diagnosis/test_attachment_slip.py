@@ -167,3 +167,25 @@ def test_hands_that_the_settings_let_sway_explain_a_slip() -> None:
     assert slow.duration == 0.24
     late = slip_evidence(AnchorSlip(), positions, FPS, PULL, SlipSettings(first_frames=16))
     assert late.start >= 16 / FPS
+
+
+def test_twice_the_frame_rate_leaves_the_times_as_they_are() -> None:
+    """A jump while tracking leaves the template says nothing, and neither does one at the very end."""
+    usual, quick, slow = (SlipSettings().at(fps) for fps in (25.0, 50.0, 5.0))
+    assert usual == SlipSettings()
+    assert (quick.first_frames, quick.stays) == (6, 6)
+    assert (slow.first_frames, slow.stays) == (1, 1)
+    times = np.arange(60) / 50
+    still = np.zeros((60, 2, 3)) + PINNED
+    early, slip, late = still.copy(), still.copy(), still.copy()
+    early[:6, 1] -= 0.04 * GIVES_WAY
+    slip[:, 1] += np.clip((times - 0.5) / 0.12, 0, 1)[:, None] * 0.04 * GIVES_WAY
+    late[-5:, 1] += 0.04 * GIVES_WAY
+    nothing, of_early, of_slip, of_late = (
+        slip_evidence(AnchorSlip(), positions, 50.0, PULL).log_evidence
+        for positions in (still, early, slip, late)
+    )
+    assert of_early == pytest.approx(nothing, abs=0.5)
+    assert of_slip > 5
+    assert of_slip > of_late + 3
+    assert slip_evidence(AnchorSlip(), slip[::2], 25.0, PULL).log_evidence > 5

@@ -9,14 +9,19 @@ import pytest
 import torch
 
 from toile.diagnosis.base_fit import Base, base_sensitivities
+from toile.diagnosis.effect_sensitivities import Instant, force_sensitivities
 from toile.diagnosis.sensitivities import KnownMotion, LoadSensitivities, StepForces
 from toile.diagnosis.template_tension import TemplateTension, template_tension
+from toile.effects.base import Surroundings
+from toile.effects.strain_stiffening import StrainStiffening
 from toile.physics.cloth import Cloth, grid_cloth, grid_material
 from toile.physics.implicit.integrators import BDF2, BackwardEuler
 from toile.physics.implicit.newton import NewtonSettings
 from toile.physics.implicit.simulator import ImplicitSimulator
+from toile.physics.implicit.terms import changed_elements, term_forces
 from toile.physics.rollout import rollout
 from toile.physics.state import State
+from toile.physics.step_terms import StepContext
 
 GRID, SIZE = (9, 8), (0.4, 0.35)
 STIFFNESS = np.array([60.0, 2e-3, 2e-5])
@@ -107,3 +112,67 @@ def test_a_strong_ridge_leaves_little_tension(hanging) -> None:
         template_tension(cloth, shape, GRAVITY, HORIZONTAL, ridge).tensions.sum() for ridge in (0.003, 30.0)
     )
     assert 0 < small < 0.05 * usual
+
+
+def at_rest(cloth: Cloth, positions: np.ndarray) -> StepContext:
+    """A step that begins at rest."""
+    x, (y, s, b) = torch.from_numpy(positions), map(float, STIFFNESS)
+    material = cloth.material(stretching=y, shearing=s, bending=b)
+    return StepContext(cloth, material, x, 0 * x, STEP, STEP, x[cloth.pinned])
+
+
+def test_stiffening_counts_from_the_unstretched_length(hanging) -> None:
+    """Tension along the curve Y L₀ (ε + a ε³) from where the template is on it, not from its begin."""
+    cloth, shape, true = hanging
+    tension, a = TemplateTension(np.clip(true, 0, None)), 400.0
+    lengths = cloth.rest_lengths.numpy()
+    before = tension.tensions.numpy() / (STIFFNESS[0] * lengths)
+    assert 0.01 < before.max() < 0.2
+    for further in (0.0, 0.004, -0.003):
+        now = at_rest(cloth, (1 + further) * shape)
+        elements = changed_elements([StrainStiffening({"stretching": a}), tension], now)
+        stiffness = STIFFNESS[0] * elements.factors["stretching"].numpy()
+        found = stiffness * ((1 + further) * lengths - elements.rest["stretching"].numpy())
+        after = before + further
+        gained = STIFFNESS[0] * lengths * (after + a * after**3 - before - a * before**3)
+        np.testing.assert_allclose(found, tension.tensions.numpy() + gained, rtol=1e-9, atol=1e-12)
+    # With no further strain the load's tension stays; it is the stiffness that has grown, to the tangent's.
+    at_template = changed_elements([StrainStiffening({"stretching": a}), tension], at_rest(cloth, shape))
+    np.testing.assert_allclose(at_template.factors["stretching"], 1 + 3 * a * before**2, rtol=1e-9)
+
+
+def test_a_stiffening_cloth_stays_in_its_template(hanging) -> None:
+    cloth, shape, _ = hanging
+    tension = template_tension(cloth, shape, GRAVITY, HORIZONTAL)
+    plain = np.abs(move(cloth, shape, STIFFNESS, 26, STEP, tension)[-1] - shape).max()
+    stiffening = (StrainStiffening({"stretching": 2000.0}), tension)
+    assert np.abs(move(cloth, shape, STIFFNESS, 26, STEP, *stiffening)[-1] - shape).max() < 1.2 * plain
+
+
+def test_sensitivity_to_stiffening_is_that_of_the_simulated_force(hanging) -> None:
+    cloth, shape, true = hanging
+    tension = TemplateTension(np.clip(true, 0, None))
+    moved = shape * 1.002
+    now = at_rest(cloth, moved)
+    still = np.zeros_like(moved)
+    step = StepForces(0, moved, moved, still, np.zeros((3, *moved.shape)), still)
+    around = Surroundings(cloth, SIZE, torch.from_numpy(GRAVITY), 1 / STEP, 2)
+
+    def sensitivities(effect: StrainStiffening, *after: TemplateTension) -> np.ndarray:
+        given = Instant(step, STEP, STEP, STIFFNESS, GRAVITY, moved[cloth.pinned.numpy()], after)
+        return force_sensitivities(effect, given, around)
+
+    effect = StrainStiffening({"stretching": 300.0, "shearing": 5.0})
+    found = sensitivities(effect, tension)
+    for k, scale in enumerate(effect.scales):
+        change = torch.zeros(2, dtype=torch.float64)
+        change[k] = 1e-4 * scale
+
+        def force(values: torch.Tensor) -> np.ndarray:
+            return term_forces([effect.with_values(values), tension], now, now.positions).detach().numpy()
+
+        difference = (force(effect.values + change) - force(effect.values - change)) / 2e-4
+        np.testing.assert_allclose(found[k], difference, atol=1e-6 * np.abs(difference).max())
+    # From the template on, a cloth without tension would hardly have begun to stiffen.
+    without = sensitivities(StrainStiffening())
+    assert np.abs(found[0]).max() > 20 * np.abs(without[0]).max() > 0

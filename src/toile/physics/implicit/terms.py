@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from toile.physics.cloth import Cloth
 from toile.physics.elements import Elements
 from toile.physics.implicit.assembly import Assembly
 from toile.physics.material import Material
@@ -107,9 +108,18 @@ def vertex_energy(terms: Sequence[VertexTerm], positions: Tensor, now: StepConte
     return total
 
 
+def nominal_elements(terms: Sequence[ElementTerm], cloth: Cloth) -> Elements:
+    """Elements before all the terms, with the tensions that one of them gives to the rest shape."""
+    elements = cloth.energies.elements()
+    for term in terms:
+        if term.tensions is not None:
+            elements = replace(elements, tensions=term.tensions)
+    return elements
+
+
 def changed_elements(terms: Sequence[ElementTerm], now: StepContext) -> Elements:
     """Elements after all the terms."""
-    elements = now.cloth.energies.elements()
+    elements = nominal_elements(terms, now.cloth)
     for term in terms:
         elements = term.elements(elements, now)
     return elements
