@@ -10,6 +10,7 @@ from torch import Tensor
 
 from toile.generation.motion import PinnedMotion
 from toile.physics.cloth import Cloth, grid_cloth
+from toile.physics.grid_laws import GridLaw, angles
 from toile.physics.implicit.integrators import BDF2
 from toile.physics.implicit.newton import NewtonSettings
 from toile.physics.implicit.simulator import ImplicitSimulator
@@ -46,10 +47,17 @@ class Sheet:
         areal_density: float,
         pinned: tuple[int, ...],
         material: Material,
+        law: GridLaw = angles,
     ) -> Sheet:
-        """A sheet that is flat and evenly spaced at rest; arguments as for grid_cloth."""
+        """A sheet that is flat and evenly spaced at rest; arguments as for grid_cloth.
+
+        Of parameters that the law has beside those of the material, it has the law's own defaults.
+        """
         grid = (int(pose.shape[0]), int(pose.shape[1]))
-        return Sheet(pose, grid_cloth(grid, cloth_size, areal_density, pinned), material)
+        cloth = grid_cloth(grid, cloth_size, areal_density, pinned, law=law)
+        if cloth.energies.parameters != material.parameters:
+            material = cloth.material(**material.parameters.unpack(material.values.unbind(1)))
+        return Sheet(pose, cloth, material)
 
 
 def simulate(

@@ -13,6 +13,7 @@ from toile.generation.refinement import refine, refined_material, refined_vertic
 from toile.generation.settings import GeneratorSettings
 from toile.generation.simulation import Sheet
 from toile.geometry.camera import Camera
+from toile.physics.grid_laws import GridLaw, angles
 from toile.scenes.template import Template
 
 _EXCESS = 1.01  # a side is at least this much longer than the distance of the corners pinned at its ends
@@ -60,7 +61,7 @@ def starting_point(settings: GeneratorSettings, template: Template | None) -> St
     return StartingPoint(pose, settings.cloth_size, (0, (H - 1) * W), camera)
 
 
-def settled_sheet(settings: GeneratorSettings, start: StartingPoint) -> Sheet:
+def settled_sheet(settings: GeneratorSettings, start: StartingPoint, law: GridLaw = angles) -> Sheet:
     """The refined sheet in equilibrium under gravity and the initial wind.
 
     The coarse sheet settles first; from its equilibrium the fine one has little left to do.
@@ -69,7 +70,7 @@ def settled_sheet(settings: GeneratorSettings, start: StartingPoint) -> Sheet:
     acceleration = torch.tensor(settings.gravity, dtype=torch.float64) + torch.tensor(
         settings.initial_wind, dtype=torch.float64
     )
-    sheet = Sheet.of(start.pose, start.cloth_size, settings.areal_density, start.pinned, material)
+    sheet = Sheet.of(start.pose, start.cloth_size, settings.areal_density, start.pinned, material, law)
     sheet = settle(sheet, acceleration, settings.newton, tolerance=settings.settled)
     if settings.refinement == 1:
         return sheet
@@ -79,6 +80,7 @@ def settled_sheet(settings: GeneratorSettings, start: StartingPoint) -> Sheet:
         settings.areal_density,
         refined_vertices(start.pinned, settings.grid, settings.refinement),
         refined_material(material, settings.refinement),
+        law,
     )
     return settle(fine, acceleration, settings.newton, tolerance=settings.settled)
 

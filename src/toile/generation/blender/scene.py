@@ -257,7 +257,7 @@ def _filmed(settings: BlenderSettings, truth: Array, work: Path) -> Scene:
     request = world.film(settings, work / "filmed.npy", texture)
     _check_visible(settings, truth, request["camera"]["fx"])
     process.run({"threads": settings.threads, "film": request}, work, settings.python)
-    rng = np.random.default_rng([settings.seed, 9])
+    rng = settings.stream(9)
     exposed = [
         expose(settings, np.load(work / f"image_{frame:03d}.npy").astype(np.float64), rng)
         for frame in range(settings.n_frames)

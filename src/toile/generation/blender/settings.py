@@ -48,6 +48,8 @@ class BlenderSettings:
         filter_width: of Cycles' pixel filter [px].
         noise: standard deviation of the image noise on the cloth, in [0, 1].
         seed: of texture, motion, noise and the effect's own pattern.
+        clip: of a session: motion, pose, noise, gusts and obstacles follow from it and the seed; () for none.
+        motion_rate: of the pinned corners, against their usual speed.
         effect: name of one of effects.EFFECTS.
         parameters: of the effect, where they differ from its defaults.
         python: interpreter that has bpy; None for the one of TOILE_BLENDER_PYTHON, else the running one.
@@ -82,6 +84,8 @@ class BlenderSettings:
     filter_width: float = 1.0
     noise: float = 0.005
     seed: int = 0
+    clip: tuple[int, ...] = ()
+    motion_rate: float = 1.0
     effect: str = "none"
     parameters: Mapping[str, float] = field(default_factory=dict)
     python: str | None = None
@@ -110,6 +114,10 @@ class BlenderSettings:
             raise wrong_setting("parameters", "a ratio that is a whole number of at least 1", ratio)
         if not 0 <= self.values.get("shutter", 0.0) <= 1 or self.values.get("exposures", 1.0) < 1:
             raise wrong_setting("parameters", "a shutter in [0, 1], at least 1 exposure", self.values)
+
+    def stream(self, purpose: int) -> np.random.Generator:
+        """Random numbers for one purpose of this clip; of the whole session for one without clips."""
+        return np.random.default_rng([self.seed, purpose, *self.clip])
 
     @property
     def values(self) -> dict[str, float]:

@@ -184,8 +184,8 @@ def rest(settings: BlenderSettings, size: tuple[int, ...], curvature: float = 0.
 
 def pinned_displacement(settings: BlenderSettings, times: Array) -> Array:
     """Smooth random motion (T, 2, 3) [m] of the pinned corners at times (T,) [s]; at rest at time 0."""
-    rng = np.random.default_rng([settings.seed, 1])
-    common, difference = (_sway(rng, times) for _ in range(2))
+    rng = settings.stream(1)
+    common, difference = (_sway(rng, times, settings.motion_rate) for _ in range(2))
     size = settings.motion_amplitude * np.array([0.7, 0.5, 1.0])
     difference = settings.corner_difference * difference
     displacement: Array = np.stack((common + difference, common - difference), 1) * size
@@ -221,7 +221,7 @@ def patch(settings: BlenderSettings, size: tuple[int, ...]) -> Array:
 
 def gust_strength(settings: BlenderSettings) -> Array:
     """Strength (F,) of the gusts: two smooth swells, none at frame 0."""
-    rng = np.random.default_rng([settings.seed, 3])
+    rng = settings.stream(3)
     time = np.arange(settings.n_frames) / (settings.n_frames - 1)
     total = np.zeros(settings.n_frames)
     for centre in (rng.uniform(0.2, 0.4), rng.uniform(0.6, 0.85)):
@@ -235,7 +235,7 @@ def gust_strength(settings: BlenderSettings) -> Array:
 
 def gust_direction(settings: BlenderSettings) -> Array:
     """Horizontal unit vector (3,), mostly towards or away from the camera."""
-    rng = np.random.default_rng([settings.seed, 4])
+    rng = settings.stream(4)
     right, _, forward = _axes(settings)
     angle = rng.uniform(-0.9, 0.9)
     direction: Array = float(rng.choice((-1, 1))) * (math.cos(angle) * forward + math.sin(angle) * right)
@@ -262,7 +262,7 @@ def sphere(settings: BlenderSettings, twin: Array) -> dict[str, Any]:
     values = settings.values
     down = np.asarray(settings.gravity) / np.linalg.norm(settings.gravity)
     height, width = twin.shape[1:3]
-    rng = np.random.default_rng([settings.seed, 6])
+    rng = settings.stream(6)
     lower = round((width - 1) * rng.uniform(0.65, 0.85))
     column = round((height - 1) * rng.uniform(0.3, 0.7))
     path = twin[:, column, lower]
@@ -286,7 +286,7 @@ def sphere(settings: BlenderSettings, twin: Array) -> dict[str, Any]:
 
 
 def _bar(settings: BlenderSettings) -> dict[str, Any]:
-    rng = np.random.default_rng([settings.seed, 7])
+    rng = settings.stream(7)
     values = settings.values
     right, down, _ = _axes(settings)
     slant = rng.uniform(-0.5, 0.5)
@@ -323,7 +323,7 @@ def _sheet(settings: BlenderSettings, size: tuple[int, ...]) -> tuple[Array, Arr
 
 def _wave(settings: BlenderSettings, along: Array) -> tuple[Array, Array]:
     """A wavy line of unit speed at arc lengths: where it is along its axis and beside it, same shape [m]."""
-    rng = np.random.default_rng([settings.seed, 8])
+    rng = settings.stream(8)
     reach = float(np.abs(along).max()) + 1e-9
     s = np.linspace(-reach, reach, 4001)
     phase = 2 * math.pi * settings.bend_waves * s / max(settings.cloth_size) + rng.uniform(0, 2 * math.pi)
@@ -336,12 +336,12 @@ def _wave(settings: BlenderSettings, along: Array) -> tuple[Array, Array]:
     return curves[0], curves[1]
 
 
-def _sway(rng: np.random.Generator, times: Array) -> Array:
+def _sway(rng: np.random.Generator, times: Array, rate: float = 1.0) -> Array:
     """Sum of slow sines (T, 3) of about unit size, zero and at rest at time 0."""
     x = (times / _FADE_IN).clip(0, 1)
     total = np.zeros((len(times), 3))
     for _ in range(3):
-        frequency, phase = rng.uniform(0.4, 1.1, 3), rng.uniform(0, 2 * math.pi, 3)
+        frequency, phase = rate * rng.uniform(0.4, 1.1, 3), rng.uniform(0, 2 * math.pi, 3)
         total += rng.uniform(0.4, 0.8, 3) * (
             np.sin(2 * math.pi * frequency * times[:, None] + phase) - np.sin(phase)
         )

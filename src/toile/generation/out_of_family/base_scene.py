@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, final
 
@@ -17,10 +18,12 @@ from toile.generation.settings import GeneratorSettings
 from toile.generation.textures import procedural_texture
 from toile.geometry.mesh import grid_faces
 from toile.limits import Count, Fraction, Positive, TwoOrMore, Unit
+from toile.physics.grid_laws import GridLaw, angles, taut
 from toile.scenes.registry import load_template
 from toile.scenes.template import Template
 
 Rng = np.random.Generator
+Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -100,11 +103,23 @@ class BaseScene:
         settings: for the starting point and the film; its pinned motion is the scene's.
         template: real template on the fit's grid, or None for a procedural sheet.
         texture: printed on a procedural sheet, (h_t, w_t, 3); None with a template.
+        compression: ratios of edges and diagonals of the taut law; None for the law of angles.
+        turned: held by the other pair of corners, see ``turned_start``.
     """
 
     settings: GeneratorSettings
     template: Template | None
     texture: Tensor | None
+    compression: tuple[float, float] | None = None
+    turned: bool = False
+
+    @property
+    def law(self) -> GridLaw:
+        """Which energies resist the deformation."""
+        if self.compression is None:
+            return angles
+        edges, diagonals = self.compression
+        return partial(taut, edge_compression=edges, diagonal_compression=diagonals)
 
     def describe(self) -> dict[str, object]:
         """The nuisances, as JSON values."""
@@ -119,6 +134,9 @@ class BaseScene:
             "noise": s.noise,
             "blur": s.blur,
             "pinned_motion": repr(s.pinned_motion),
+            "law": "angles" if self.compression is None else "taut",
+            "compression": None if self.compression is None else list(self.compression),
+            "substeps": s.substeps,
         }
 
 
@@ -137,18 +155,7 @@ def draw_base(setup: OutOfFamilySettings, rng: Rng) -> BaseScene:
     texture_seed = int(rng.integers(2**31))
     template = resampled(load_template(name, setup.data), setup.grid) if use_template else None
     gravity = (0.0, 9.81, 0.0) if use_template else (0.0, 9.81 * math.cos(tilt), 9.81 * math.sin(tilt))
-    down = np.array(gravity) / 9.81
-    right = np.array([1.0, 0.0, 0.0])
-    ahead = np.cross(right, down)
-
-    def horizontal(low: float, high: float) -> tuple[float, float, float]:
-        angle, strength = float(rng.uniform(-0.35, 0.35) * math.pi), float(rng.uniform(low, high))
-        vector = strength * (math.sin(angle) * right + math.cos(angle) * ahead)
-        return float(vector[0]), float(vector[1]), float(vector[2])
-
-    side_of_wind = float(rng.choice((-1.0, 1.0)))
-    initial = tuple(-side_of_wind * w for w in horizontal(0.3, 1.2))
-    wind = tuple(side_of_wind * w for w in horizontal(0.8, 2.4))
+    initial, wind = draw_winds(rng, gravity, (0.3, 1.2), (0.8, 2.4))
     stretching = math.exp(rng.uniform(math.log(150), math.log(900)))  # N/m
     shear_modulus = math.exp(rng.uniform(math.log(0.7), math.log(3.5)))  # N/m
     bending = math.exp(rng.uniform(math.log(8e-5), math.log(4e-4)))  # N·m
@@ -161,8 +168,8 @@ def draw_base(setup: OutOfFamilySettings, rng: Rng) -> BaseScene:
         cloth_size=size if template is None else template.cloth_size,
         areal_density=float(rng.uniform(0.1, 0.25)),
         gravity=gravity,
-        initial_wind=(initial[0], initial[1], initial[2]),
-        wind=(wind[0], wind[1], wind[2]),
+        initial_wind=initial,
+        wind=wind,
         pinned_distance=float(rng.uniform(0.94, 0.98)),
         pinned_motion=draw_motion(rng),
         distance=2.2 * side,
@@ -191,9 +198,34 @@ def draw_base(setup: OutOfFamilySettings, rng: Rng) -> BaseScene:
     return BaseScene(settings, template, texture)
 
 
-def draw_motion(rng: Rng) -> RandomMotion:
-    """Corners that stay, are shaken, or swing, each in a third of the scenes."""
-    kind = int(rng.integers(3))
+def draw_winds(
+    rng: Rng, gravity: Vector, before: tuple[float, float], after: tuple[float, float]
+) -> tuple[Vector, Vector]:
+    """Winds until frame 0 and from it on [m/s²], horizontal, mostly along the line of sight, opposed.
+
+    Args:
+        rng: for directions and strengths.
+        gravity: [m/s²], of 9.81 m/s².
+        before: least and largest strength until frame 0 [m/s²].
+        after: the same from it on.
+    """
+    down = np.array(gravity) / 9.81
+    right = np.array([1.0, 0.0, 0.0])
+    ahead = np.cross(right, down)
+
+    def horizontal(limits: tuple[float, float], side: float) -> Vector:
+        angle, strength = float(rng.uniform(-0.35, 0.35) * math.pi), float(rng.uniform(*limits))
+        vector = strength * (math.sin(angle) * right + math.cos(angle) * ahead)
+        return side * float(vector[0]), side * float(vector[1]), side * float(vector[2])
+
+    side = float(rng.choice((-1.0, 1.0)))
+    return horizontal(before, -side), horizontal(after, side)
+
+
+def draw_motion(rng: Rng, kind: int | None = None) -> RandomMotion:
+    """Corners that stay (0), are shaken (1), or swing (2); None: each in a third of the scenes."""
+    drawn = int(rng.integers(3))
+    kind = drawn if kind is None else kind
     frequencies = rng.uniform(*((0.6, 1.6), (0.8, 1.8), (0.25, 0.55))[kind], 2)
     size = (0.0, float(rng.uniform(0.006, 0.018)), float(rng.uniform(0.03, 0.07)))[kind]
     directions = rng.standard_normal((2, 3)) * np.array([0.7, 0.25, 1.0])

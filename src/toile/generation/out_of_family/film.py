@@ -10,7 +10,7 @@ import torch
 from scipy.ndimage import gaussian_filter
 from torch import Tensor
 
-from toile.generation.out_of_family.interface import OutOfFamilyEffect
+from toile.generation.out_of_family.interface import Array, OutOfFamilyEffect
 from toile.generation.out_of_family.optics import RaggedMask
 from toile.geometry.camera import Camera
 from toile.geometry.mesh import grid_faces, vertex_normals
@@ -52,13 +52,20 @@ class FilmSettings:
     seed: int
 
 
-def framed_camera(full: Camera, motion: Tensor, side: int) -> Camera:
-    """The camera scaled and cropped to a motion (F, H, W, 3) [m]; longer side of the image [px] given."""
+def framed_camera(full: Camera, motion: Tensor, side: int, scale: float | None = None) -> Camera:
+    """The camera scaled and cropped to a motion (F, H, W, 3) [m].
+
+    Args:
+        full: of the whole image.
+        motion: in view, with a margin.
+        side: longer side of the image [px].
+        scale: of the camera instead of that which ``side`` asks for.
+    """
     pixels = full.project(motion).reshape(-1, 2)
     low, high = pixels.amin(0), pixels.amax(0)
     margin = _MARGIN * float((high - low).max())
     low, high = low - margin, high + margin
-    scale = side / float((high - low).max())
+    scale = side / float((high - low).max()) if scale is None else scale
     left, top = (round(float(x) * scale) for x in low)
     width, height = (round(float(x) * scale) for x in high - low)
     scaled = full.scaled(scale)
@@ -94,17 +101,25 @@ def film(
     for frame in range(n_frames):
         rgb_sum, coverage_sum = None, None
         moments = _moments(frame, substeps, len(motion), exposure, settings.blur_samples)
+        rendered: dict[int, tuple[Array, Array]] = {}
         for index in moments:
-            positions = motion[index].reshape(-1, 3)
-            seen = _seen(positions, camera, effects)[None]
-            images = renderer.render(seen, faces, printed.coordinates.reshape(-1, 2), printed.texture, camera)
-            rgb, coverage = images.rgb[0].numpy(), images.silhouette[0].numpy()
-            for shader, scale in zip(shaders, normal_scale, strict=True):
-                factor = shader.brightness(_facing_normals(positions, faces))
-                assert factor is not None
-                image = (factor / scale).float().reshape(H, W).T[..., None].expand(W, H, 3)
-                shade = renderer.render(seen, faces, own_places, image.contiguous(), camera).rgb[0].numpy()
-                rgb = rgb * shade / np.maximum(coverage, 0.05)[..., None]
+            if index not in rendered:
+                positions = motion[index].reshape(-1, 3)
+                seen = _seen(positions, camera, effects)[None]
+                images = renderer.render(
+                    seen, faces, printed.coordinates.reshape(-1, 2), printed.texture, camera
+                )
+                rgb, coverage = images.rgb[0].numpy(), images.silhouette[0].numpy()
+                for shader, scale in zip(shaders, normal_scale, strict=True):
+                    factor = shader.brightness(_facing_normals(positions, faces))
+                    assert factor is not None
+                    image = (factor / scale).float().reshape(H, W).T[..., None].expand(W, H, 3)
+                    shade = (
+                        renderer.render(seen, faces, own_places, image.contiguous(), camera).rgb[0].numpy()
+                    )
+                    rgb = rgb * shade / np.maximum(coverage, 0.05)[..., None]
+                rendered[index] = rgb, coverage
+            rgb, coverage = rendered[index]
             rgb_sum = rgb if rgb_sum is None else rgb_sum + rgb
             coverage_sum = coverage if coverage_sum is None else coverage_sum + coverage
         assert rgb_sum is not None

@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from toile.effects.base import Stage
+from toile.effects.base import Scope, Stage
 from toile.geometry.camera import Camera
 from toile.physics.elements import Elements
 from toile.physics.step_terms import StepContext
@@ -74,6 +74,7 @@ class OutOfFamilyEffect:
     Attributes:
         NAME: in the catalogue, or one of the names outside it.
         STAGE: where it acts; ACCEPTED: stages that are right answers.
+        SCOPE: what it belongs to where the catalogue lacks it; see ``catalogue.scope_of``.
         OUTSIDE: whether the catalogue lacks it.
         MEASURE: what its strength is named in; LEVELS: weak, medium and strong in it.
         LIMIT: largest strength.
@@ -82,6 +83,7 @@ class OutOfFamilyEffect:
     NAME: ClassVar[str]
     STAGE: ClassVar[Stage]
     ACCEPTED: ClassVar[tuple[Stage, ...]] = ()
+    SCOPE: ClassVar[Scope] = Scope.CLOTH
     OUTSIDE: ClassVar[bool] = False
     MEASURE: ClassVar[Measure] = Measure.MOTION
     LEVELS: ClassVar[tuple[float, float, float]] = (1.5, 3.0, 6.0)
@@ -99,6 +101,12 @@ class OutOfFamilyEffect:
         """The same shape with another strength."""
         other = copy.copy(self)
         other.strength = float(strength)
+        return other
+
+    def moved(self, reference: Reference) -> Self:
+        """The same effect, shape and strength, in another clip of the same cloth."""
+        other = copy.copy(self)
+        other.reference = reference
         return other
 
     def parameters(self) -> dict[str, object]:

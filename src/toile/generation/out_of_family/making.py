@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from toile.errors import InputError
+from toile.generation.initial_pose import hanging_sheet
 from toile.generation.out_of_family.base_scene import BaseScene, OutOfFamilySettings, draw_base
 from toile.generation.out_of_family.catalogue import LEVELS, out_of_family_effect
 from toile.generation.out_of_family.film import (
@@ -34,7 +35,10 @@ from toile.scenes.scene import Scene
 
 _log = logging.getLogger(__name__)
 
-_SMALLEST_SHARES = (0.6,) * 4 + (0.3,) * 4 + (0.1,) * 16
+SIZES = (1.0, 3.0, 7.0)
+"""Of effects in sessions: small, medium and large [% of the width in the last third of the first clip]."""
+
+SMALLEST_SHARES = (0.6,) * 4 + (0.3,) * 4 + (0.1,) * 16
 """Of the gap that was asked for, by attempt; with less, another scene is drawn. Labels tell the true size."""
 
 _NEAR_ENOUGH = math.log(1.4)
@@ -47,12 +51,12 @@ class SceneRequest:
 
     Attributes:
         name: opaque.
-        effects: (name, level) pairs, level one of LEVELS; () for a scene without any effect.
+        effects: (name, size) pairs, see ``size_of``; () for a scene without any effect.
         seed: of everything random.
     """
 
     name: str
-    effects: tuple[tuple[str, str], ...]
+    effects: tuple[tuple[str, str | float], ...]
     seed: int
 
 
@@ -85,21 +89,32 @@ def make_scene(setup: OutOfFamilySettings, request: SceneRequest) -> MadeScene:
         SimulationError: no scene after several draws.
     """
     for name, level in request.effects:
-        out_of_family_effect(name)
-        if level not in LEVELS:
-            raise InputError("No such level", where="effects", expected=", ".join(LEVELS), got=level)
-    for attempt in range(len(_SMALLEST_SHARES)):
+        size_of(out_of_family_effect(name), level)
+    for attempt in range(len(SMALLEST_SHARES)):
         base = draw_base(setup, np.random.default_rng([request.seed, attempt, 1]))
         try:
-            return _Maker(setup, base, request, attempt).make()
+            return ClipMaker(setup, base, request, attempt).make()
         except SimulationError as error:
             # Whoever watches a blind set being made must not learn what is in it.
             _log.debug("scene %s, draw %d: %s", request.name, attempt, error)
-    raise SimulationError(f"no scene {request.name} after {len(_SMALLEST_SHARES)} draws")
+    raise SimulationError(f"no scene {request.name} after {len(SMALLEST_SHARES)} draws")
 
 
-class _Maker:
-    """One attempt at one scene."""
+class ClipMaker:
+    """One attempt at one clip.
+
+    Args:
+        setup: of the set.
+        base: of the clip.
+        request: what it shall be; a size may be a level, or a number, see ``size_of``.
+        attempt: number of the draw.
+
+    Attributes:
+        reference: the clip without effects, which shapes are drawn for.
+
+    Raises:
+        SimulationError: the clip without effects cannot be simulated.
+    """
 
     def __init__(
         self, setup: OutOfFamilySettings, base: BaseScene, request: SceneRequest, attempt: int
@@ -108,8 +123,8 @@ class _Maker:
         self.settings = base.settings
         self.attempt = attempt
         self.rng = np.random.default_rng([request.seed, attempt, 2])
-        self.start: StartingPoint = starting_point(self.settings, base.template)
-        self.fine = settled_sheet(self.settings, self.start)
+        self.start: StartingPoint = start_of(base)
+        self.fine = settled_sheet(self.settings, self.start, base.law)
         pose = coarsen(self.fine.pose, self.settings.refinement)
         self.coarse = Sheet.of(
             pose,
@@ -117,6 +132,7 @@ class _Maker:
             self.settings.areal_density,
             self.start.pinned,
             self.settings.material(self.start.cloth_size),
+            base.law,
         )
         self.coarse_twin = self.run(self.coarse, (), setup.coarse_substeps)[:: setup.coarse_substeps]
         self.reference = Reference(
@@ -148,25 +164,66 @@ class _Maker:
         Raises:
             SimulationError: it cannot be simulated, or no strength makes the gap that was asked for.
         """
-        setup, settings = self.setup, self.settings
+        twin = self.twin()
+        effects = tuple(self._of_level(name, level) for name, level in self.request.effects)
+        effects, motion = self.sized(effects, twin)
+        return self.filmed(effects, motion, twin)
+
+    def twin(self) -> Tensor:
+        """Every sub-step of the clip without effects, on the simulated grid (T, H', W', 3) [m].
+
+        Raises:
+            SimulationError: the fit's grid strays from it, or it cannot be simulated.
+        """
+        settings = self.settings
         fine_twin = self.run(self.fine, (), settings.substeps)
         share = _last_third(
             coarsen(fine_twin[:: settings.substeps], settings.refinement),
             self.coarse_twin,
             self.reference.width,
         )
-        if share > setup.largest_grid_share:
+        if share > self.setup.largest_grid_share:
             raise SimulationError(f"the fit's grid strays by {share:.2g} % without any effect")
-        effects = tuple(self._of_level(name, level) for name, level in self.request.effects)
-        motion = fine_twin
-        if any(_moves(e) for e in effects):
-            motion = self.run(self.fine, effects, settings.substeps)
+        return fine_twin
+
+    def moved(self, effects: tuple[OutOfFamilyEffect, ...], twin: Tensor) -> Tensor:
+        """Every sub-step of the clip with its effects; the twin itself where none moves the cloth."""
+        if not any(_moves(e) for e in effects):
+            return twin
+        return self.run(self.fine, effects, self.settings.substeps)
+
+    def sized(
+        self, effects: tuple[OutOfFamilyEffect, ...], twin: Tensor
+    ) -> tuple[tuple[OutOfFamilyEffect, ...], Tensor]:
+        """The motion with effects that have their strength on the fit's grid, corrected on the fine one."""
+        motion = self.moved(effects, twin)
         if len(effects) == 1 and _moves(effects[0]):
-            effects, motion = self._corrected(effects[0], motion, fine_twin)
+            return self._corrected(effects[0], motion, twin)
+        return effects, motion
+
+    def filmed(
+        self,
+        effects: tuple[OutOfFamilyEffect, ...],
+        motion: Tensor,
+        fine_twin: Tensor,
+        scale: float | None = None,
+    ) -> MadeScene:
+        """The scene with its label.
+
+        Args:
+            effects: that act.
+            motion: every sub-step (T, H', W', 3) [m].
+            fine_twin: the same without the effects.
+            scale: of the camera; None for one by the size of the image.
+
+        Raises:
+            SimulationError: the cloth leaves the image.
+        """
+        setup, settings = self.setup, self.settings
         factor = settings.refinement
         truth = coarsen(motion[:: settings.substeps], factor)
         twin = coarsen(fine_twin[:: settings.substeps], factor)
-        camera = framed_camera(self.start.camera, twin, setup.image_side)
+        camera = framed_camera(self.start.camera, twin, setup.image_side, scale)
         self._check_in_view(seen_pixels(motion[:: settings.substeps], camera, effects), camera)
         frames, masks = film(
             FilmSettings(
@@ -196,21 +253,32 @@ class _Maker:
         )
         return MadeScene(scene, self._label(effects, truth, twin), truth, twin)
 
-    def _of_level(self, name: str, level: str) -> OutOfFamilyEffect:
+    def _of_level(self, name: str, level: str | float) -> OutOfFamilyEffect:
         """An effect with the strength at which it is as large as the level says."""
-        kind = out_of_family_effect(name)
-        effect = kind(self.rng, self.reference)
-        target = kind.LEVELS[LEVELS.index(level)]
+        return self.of_size(out_of_family_effect(name)(self.rng, self.reference), level)
+
+    def of_size(self, effect: OutOfFamilyEffect, size: str | float) -> OutOfFamilyEffect:
+        """The shape with the strength at which it is as large as asked for, on the fit's grid.
+
+        Args:
+            effect: a shape.
+            size: see ``size_of``.
+
+        Raises:
+            SimulationError: no strength makes it so large.
+        """
+        kind = type(effect)
+        target = size_of(kind, size)
         if kind.MEASURE in (Measure.EXPOSURE, Measure.EDGE, Measure.COVER):
             return effect.scaled(target / (100 if kind.MEASURE is Measure.EXPOSURE else 1))
-        size: Callable[[OutOfFamilyEffect], float] = {
+        measured: Callable[[OutOfFamilyEffect], float] = {
             Measure.MOTION: self._motion_gap,
             Measure.PIXELS: self._pixel_gap,
             Measure.BRIGHTNESS: lambda e: brightness_change(e, self.coarse_twin),
         }[kind.MEASURE]
-        found, reached = strength_of(lambda s: size(effect.scaled(s)), target, kind.LIMIT)
-        if reached < _SMALLEST_SHARES[self.attempt] * target:
-            raise SimulationError(f"{name} reaches {reached:.2g} of {target:.2g} % here")
+        found, reached = strength_of(lambda s: measured(effect.scaled(s)), target, kind.LIMIT)
+        if reached < SMALLEST_SHARES[self.attempt] * target:
+            raise SimulationError(f"{kind.NAME} reaches {reached:.2g} of {target:.2g} % here")
         return effect.scaled(found)
 
     def _corrected(
@@ -218,7 +286,7 @@ class _Maker:
     ) -> tuple[tuple[OutOfFamilyEffect, ...], Tensor]:
         """One more step towards the level, where the fine grid answers otherwise than the fit's."""
         substeps, width = self.settings.substeps, self.reference.width
-        target = effect.LEVELS[LEVELS.index(self.request.effects[0][1])]
+        target = size_of(type(effect), self.request.effects[0][1])
         reached = _last_third(motion[::substeps], twin[::substeps], width)
         ratio = float(np.clip(target / max(reached, 1e-6), 0.4, 2.5))
         strength = min(effect.strength * ratio, effect.LIMIT)
@@ -280,7 +348,7 @@ class _Maker:
         return {
             "effect": "+".join(names) or "none",
             "effects": names,
-            "levels": [level for _, level in self.request.effects],
+            "levels": [s if isinstance(s, str) else f"{s:g} %" for _, s in self.request.effects],
             "stage": effects[0].STAGE.value if effects else "none",
             "stage_accept": sorted({s.value for e in effects for s in (e.STAGE, *e.ACCEPTED)}) or ["none"],
             "in_catalogue": not any(e.OUTSIDE for e in effects),
@@ -315,6 +383,28 @@ class _Maker:
             case _:
                 value = effect.strength * (100 if effect.MEASURE is Measure.EXPOSURE else 1)
         return {"value": value, "measure": effect.MEASURE.name.lower()}
+
+
+def size_of(kind: type[OutOfFamilyEffect], size: str | float) -> float:
+    """How large an effect shall be, in what its strength is named in.
+
+    Args:
+        kind: of the effect.
+        size: one of LEVELS, or a size in the motion [% of the width]. An effect that does not move the cloth
+            is made as large, by its own levels, as 1, 3 and 7 % are for one that does.
+
+    Raises:
+        InputError: no such level, or a size that is not above 0.
+    """
+    if isinstance(size, str):
+        if size not in LEVELS:
+            raise InputError("No such level", where="effects", expected=", ".join(LEVELS), got=size)
+        return kind.LEVELS[LEVELS.index(size)]
+    if not (math.isfinite(size) and size > 0):
+        raise InputError("No such size", where="effects", expected="a number above 0 [%]", got=str(size))
+    if kind.MEASURE is Measure.MOTION:
+        return float(size)
+    return float(np.exp(np.interp(math.log(size), np.log(SIZES), np.log(kind.LEVELS))))
 
 
 def strength_of(
@@ -359,6 +449,28 @@ def strength_of(
     if not tried:
         raise SimulationError("an effect cannot be simulated at any strength")
     return min(tried, key=lambda sv: abs(math.log(sv[1] / target)))
+
+
+def start_of(base: BaseScene) -> StartingPoint:
+    """Where the clip begins, before the cloth has settled."""
+    start = starting_point(base.settings, base.template)
+    if not base.turned:
+        return start
+    # Procedural whatever the template: nobody has filmed it the other way round.
+    s = base.settings
+    H, W = s.grid
+    across, down = start.cloth_size
+    upright = hanging_sheet(
+        (W, H),
+        (down, across),
+        pinned_distance=s.pinned_distance,
+        distance=float(start.pose[..., 2].mean()),
+        yaw=math.radians(s.yaw),
+        gravity=s.gravity,
+        seed=s.seed,
+    )
+    # A quarter turn, not a reflection: axis 0 runs down now, axis 1 to the left.
+    return replace(start, pose=upright.flip(0).transpose(0, 1).contiguous(), pinned=(0, W - 1))
 
 
 def _moves(effect: OutOfFamilyEffect) -> bool:

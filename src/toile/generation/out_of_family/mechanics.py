@@ -62,27 +62,28 @@ class ThinningDamping(OutOfFamilyEffect):
 
     def elements(self, elements: Elements, now: StepContext) -> Elements:
         """See RealityEffect."""
-        x, h, s = now.positions, now.time_step, now.cloth.stencils
+        x, h = now.positions, now.time_step
         before = x - h * now.velocities
         tau = self.strength * torch.from_numpy(self.times)
+        edges = _stencil(now, "stretching")
 
         def share(index: int, rate: Tensor) -> Tensor:
             return tau[index] / h / (1 + rate.abs() / self.half_rate)
 
-        lengths = _lengths(x, s.edges)
-        a = share(0, (lengths - _lengths(before, s.edges)) / (h * elements.rest["stretching"]))
-        angles = _angles(x, s.corners)
-        b = share(1, (angles - _angles(before, s.corners)) / h)
+        lengths = _lengths(x, edges)
+        a = share(0, (lengths - _lengths(before, edges)) / (h * elements.rest["stretching"]))
+        shears = _shear_measure(now, x)
+        b = share(1, _shear_angle(now, shears - _shear_measure(now, before)) / h)
         return elements.scaled(stretching=1 + a, shearing=1 + b, bending=(1 + float(tau[2]) / h)).with_rest(
             stretching=(elements.rest["stretching"] + a * lengths) / (1 + a),
-            shearing=(elements.rest["shearing"] + b * angles) / (1 + b),
+            shearing=(elements.rest["shearing"] + b * shears) / (1 + b),
         )
 
     def acceleration(self, now: StepContext) -> Tensor:
         """See RealityEffect."""
-        s = now.cloth.stencils
-        target = _bends(now.positions - now.time_step * now.velocities, s.straights).norm(dim=-1)
-        towards = torch.nn.functional.normalize(_bends(now.positions, s.straights), dim=-1)
+        straights = _stencil(now, "bending")
+        target = _bends(now.positions - now.time_step * now.velocities, straights).norm(dim=-1)
+        towards = torch.nn.functional.normalize(_bends(now.positions, straights), dim=-1)
         tau = self.strength * float(self.times[2])
         moment = now.material["bending"] * tau / now.time_step * target
         return bending_force(now, moment[:, None] * towards) / now.cloth.masses[:, None]
@@ -108,9 +109,9 @@ class TwoRatioAnisotropy(OutOfFamilyEffect):
         """See RealityEffect."""
         assert now.cloth.grid is not None
         W = now.cloth.grid[1]
-        s = now.cloth.stencils
-        along_edge = ((s.edges[:, 1] - s.edges[:, 0]) == W).double() * 2 - 1
-        along_straight = ((s.straights[:, 1] - s.straights[:, 0]) == W).double() * 2 - 1
+        edges, straights = _stencil(now, "stretching"), _stencil(now, "bending")
+        along_edge = ((edges[:, 1] - edges[:, 0]) == W).double() * 2 - 1
+        along_straight = ((straights[:, 1] - straights[:, 0]) == W).double() * 2 - 1
         a, b = (0.5 * self.sign * self.strength * e for e in self.exponents)
         return elements.scaled(stretching=torch.exp(a * along_edge), bending=torch.exp(b * along_straight))
 
@@ -133,9 +134,7 @@ class ExponentialStiffening(OutOfFamilyEffect):
 
     def elements(self, elements: Elements, now: StepContext) -> Elements:
         """See RealityEffect."""
-        s = now.cloth.stencils
-        strain = (_lengths(now.positions, s.edges) / now.cloth.rest_lengths - 1).clamp(min=0)
-        shear = (_angles(now.positions, s.corners) - now.cloth.energies.named("shearing").rest).abs()
+        strain, shear = strains(now)
         a, b = (self.strength * r for r in self.rates)
         return elements.scaled(
             stretching=torch.exp((a * strain).clamp(max=3)), shearing=torch.exp((b * shear).clamp(max=4))
@@ -163,7 +162,7 @@ class CurvedBand(OutOfFamilyEffect):
         """See RealityEffect."""
         assert now.cloth.grid is not None
         W = now.cloth.grid[1]
-        straights = now.cloth.stencils.straights
+        straights = _stencil(now, "bending")
         across = ((straights[:, 1] - straights[:, 0]) == W) == (self.axis == 0)
         inside = self.where(places_of(now))[straights[:, 1]] & across
         spacing = (now.positions[straights[:, 2]] - now.positions[straights[:, 1]]).norm(dim=-1)
@@ -235,13 +234,8 @@ class StiffPatches(_Blobs):
 
     def elements(self, elements: Elements, now: StepContext) -> Elements:
         """See RealityEffect."""
-        s = now.cloth.stencils
         factor = torch.exp((self.strength * self.field(places_of(now))).clamp(max=6))
-        return elements.scaled(
-            stretching=factor[s.edges].mean(-1).clamp(max=8),
-            shearing=factor[s.corners[:, 1]],
-            bending=factor[s.straights[:, 1]],
-        )
+        return stiffened(elements, now, factor)
 
 
 class PenaltyContact(OutOfFamilyEffect):
@@ -370,13 +364,30 @@ class WrongFrameRate(OutOfFamilyEffect):
         return {"interval_ratio": self.frame_interval(1.0)}
 
 
+def strains(now: StepContext) -> tuple[Tensor, Tensor]:
+    """Stretch of every edge (E,), 0 where it is slack, and size of every shear angle [rad]."""
+    stretch = _lengths(now.positions, _stencil(now, "stretching")) / now.cloth.rest_lengths - 1
+    shear = _shear_measure(now, now.positions) - now.cloth.energies.named("shearing").rest
+    return stretch.clamp(min=0), _shear_angle(now, shear).abs()
+
+
+def stiffened(elements: Elements, now: StepContext, factor: Tensor) -> Elements:
+    """Elements whose stiffness is multiplied by the factor (N,) of their vertices."""
+    shears = _stencil(now, "shearing")
+    return elements.scaled(
+        stretching=factor[_stencil(now, "stretching")].mean(-1).clamp(max=8),
+        shearing=factor[shears].mean(-1) if _has_diagonals(now) else factor[shears[:, 1]],
+        bending=factor[_stencil(now, "bending")[:, 1]],
+    )
+
+
 def bending_force(now: StepContext, moments: Tensor) -> Tensor:
     """Forces (N, 3) [N] of moments (S, 3) [N·m] about straight angles, each along the way it bends.
 
     The energy of a straight angle is ½ B |c|², c = (x_i - 2 x_k + x_j) / L to first order; a term -m·c beside
     it gives a preferred bend m / B.
     """
-    s = now.cloth.stencils.straights
+    s = _stencil(now, "bending")
     spacing = now.cloth.rest_lengths.mean()
     force = moments / spacing
     total = torch.zeros_like(now.positions)
@@ -387,7 +398,30 @@ def bending_force(now: StepContext, moments: Tensor) -> Tensor:
 
 def bends(now: StepContext) -> Tensor:
     """Bend vectors c (S, 3) of all straight angles, as in bending_force."""
-    return _bends(now.positions, now.cloth.stencils.straights)
+    return _bends(now.positions, _stencil(now, "bending"))
+
+
+def _stencil(now: StepContext, energy: str) -> Tensor:
+    return now.cloth.energies.named(energy).stencil
+
+
+def _has_diagonals(now: StepContext) -> bool:
+    """Whether shearing is resisted by diagonals, not by angles."""
+    return _stencil(now, "shearing").shape[1] == 2
+
+
+def _shear_measure(now: StepContext, x: Tensor) -> Tensor:
+    """What the rest shape of shearing is a value of: angles [rad], or lengths of diagonals [m]."""
+    if _has_diagonals(now):
+        return now.cloth.energies.named("shearing").measure(x)
+    return _angles(x, _stencil(now, "shearing"))
+
+
+def _shear_angle(now: StepContext, change: Tensor) -> Tensor:
+    """Change of the shear angle [rad] for a change of what ``_shear_measure`` gives."""
+    if _has_diagonals(now):
+        return 2 * change / now.cloth.energies.named("shearing").rest
+    return change
 
 
 def _bends(x: Tensor, straights: Tensor) -> Tensor:

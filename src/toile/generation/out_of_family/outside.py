@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from toile.effects.base import Stage
+from toile.effects.base import Scope, Stage
 from toile.generation.out_of_family.interface import (
     Array,
     Measure,
@@ -45,7 +45,7 @@ class PlasticCreases(OutOfFamilyEffect):
 
     def acceleration(self, now: StepContext) -> Tensor:
         """See RealityEffect."""
-        middle = now.cloth.stencils.straights[:, 1]
+        middle = now.cloth.energies.named("bending").stencil[:, 1]
         normals = now.normals[middle]
         angle = (bends(now) * normals).sum(-1)
         if self._rest is None:
@@ -142,11 +142,15 @@ class Shrinking(OutOfFamilyEffect):
     def elements(self, elements: Elements, now: StepContext) -> Elements:
         """See RealityEffect."""
         assert now.cloth.grid is not None
-        along = (now.cloth.stencils.edges[:, 1] - now.cloth.stencils.edges[:, 0]) == now.cloth.grid[1]
+        edges = now.cloth.energies.named("stretching").stencil
+        along = (edges[:, 1] - edges[:, 0]) == now.cloth.grid[1]
         done = 1 - math.exp(-max(now.time - self.begin_time, 0.0) / (0.4 * self.reference.duration))
         a, b = (1 - min(0.02 * self.strength * float(r) * done, 0.3) for r in self.ratios)
         factor = torch.where(along, torch.tensor(a).double(), torch.tensor(b).double())
-        return elements.with_rest(stretching=elements.rest["stretching"] * factor)
+        shrunk = elements.with_rest(stretching=elements.rest["stretching"] * factor)
+        if now.cloth.energies.named("shearing").stencil.shape[1] == 2:  # diagonals shrink with the sides
+            shrunk = shrunk.with_rest(shearing=elements.rest["shearing"] * (0.5 * (a + b)))
+        return shrunk
 
     def parameters(self) -> dict[str, object]:
         """See RealityEffect."""
@@ -157,6 +161,7 @@ class Occluder(OutOfFamilyEffect):
     """Something that passes before the cloth and that the mask takes for cloth."""
 
     NAME = "unmasked_occluder"
+    SCOPE = Scope.CLIP
     STAGE = Stage.OBSERVATION
     ACCEPTED = (Stage.OBSERVATION, Stage.APPEARANCE)
     OUTSIDE = True

@@ -1,0 +1,155 @@
+"""A session: several clips of one cloth, in a folder with ``session.yaml``.
+
+::
+
+    name: tablecloth
+    clips:
+      - scene: release          # folder of a native scene, relative to session.yaml
+        motion: release         # what was done, for people: hang, release, shake, sway, ...
+        device: phone           # clips with the same one share camera, frame rate and gravity's direction
+        changed: []             # since the clip before, for people: fan, grip, turned, ...
+      - scene: shake
+        motion: shake
+        device: phone
+    plumb_line: false           # gravity was measured by a plumb line in view: it is not tilted
+    clock: false                # the frame rate was checked with a clock in view: it is right
+
+Only ``clips`` with their ``scene`` are needed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from toile.atomic_file import write_text
+from toile.errors import InputError
+from toile.json_file import place
+
+SESSION_FILE = "session.yaml"
+DEVICE = "camera"
+"""Of clips that name none."""
+
+
+@dataclass(frozen=True)
+class SessionClip:
+    """One clip of a session.
+
+    Attributes:
+        folder: of its native scene.
+        motion: what was done.
+        device: that filmed it.
+        changed: since the clip before.
+    """
+
+    folder: Path
+    motion: str = ""
+    device: str = DEVICE
+    changed: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Session:
+    """Several clips of one cloth.
+
+    Attributes:
+        name: of the session.
+        clips: in the order of recording, one or more.
+        plumb_line: whether gravity was measured by one.
+        clock: whether the frame rate was checked with one.
+    """
+
+    name: str
+    clips: tuple[SessionClip, ...]
+    plumb_line: bool = False
+    clock: bool = False
+
+
+def load_session(folder: Path | str) -> Session:
+    """Read the session in a folder; its scenes are not looked at.
+
+    Args:
+        folder: with session.yaml, or the path of that file.
+
+    Raises:
+        InputError: there is no such file, or anything in it is wrong.
+    """
+    path = Path(folder)
+    path = path if path.name == SESSION_FILE else path / SESSION_FILE
+    try:
+        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+        found = _File.model_validate(values)
+    except OSError as error:
+        raise _wrong(path, f"{type(error).__name__}: {error.strerror or error}") from error
+    except (UnicodeDecodeError, yaml.YAMLError) as error:
+        raise _wrong(path, " ".join(str(error).split())[:200]) from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise _wrong(path, f"{place(first['loc']) or 'the file'}: {first['msg']}") from error
+    clips = tuple(
+        SessionClip(path.parent / clip.scene, clip.motion, clip.device, tuple(clip.changed))
+        for clip in found.clips
+    )
+    for index, clip in enumerate(clips):
+        if not (clip.folder / "scene.json").is_file():
+            raise InputError(
+                "A clip of the session is not there",
+                where=f"{path}: clips[{index}].scene",
+                expected="the folder of a native scene, relative to the session's file",
+                got=f"no scene.json in {clip.folder}",
+            )
+    return Session(found.name or path.parent.resolve().name, clips, found.plumb_line, found.clock)
+
+
+def write_session(session: Session, folder: Path) -> Path:
+    """Write ``session.yaml``; clips must lie within the folder.
+
+    Returns:
+        Path of the file.
+    """
+    values = {
+        "name": session.name,
+        "clips": [
+            {
+                "scene": str(clip.folder.relative_to(folder)),
+                "motion": clip.motion,
+                "device": clip.device,
+                "changed": list(clip.changed),
+            }
+            for clip in session.clips
+        ],
+        "plumb_line": session.plumb_line,
+        "clock": session.clock,
+    }
+    path = folder / SESSION_FILE
+    return write_text(path, yaml.safe_dump(values, sort_keys=False))
+
+
+class _Clip(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    scene: str = Field(min_length=1)
+    motion: str = ""
+    device: str = DEVICE
+    changed: list[str] = []
+
+
+class _File(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    name: str = ""
+    clips: list[_Clip] = Field(min_length=1)
+    plumb_line: bool = False
+    clock: bool = False
+
+
+def _wrong(path: Path, got: str) -> InputError:
+    return InputError(
+        "No session can be read",
+        where=str(path),
+        expected="clips: a list of entries with scene: <folder of a native scene>; see docs/diagnosis",
+        got=got,
+    )
