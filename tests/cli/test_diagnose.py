@@ -11,14 +11,17 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from hydra import compose, initialize_config_dir
 
-from toile.cli.diagnose import diagnose_scene
+from toile.cli.configuration import CONF, register_resolvers
+from toile.cli.diagnose import SessionProblem, _problem, diagnose_scene, diagnose_session_folder
 from toile.cli.main import main
 from toile.diagnosis.arrays import HELD_OUT_FILE, SCREENING_FILE
 from toile.diagnosis.record import DIAGNOSIS_FILE, GapReport
 from toile.diagnosis.stage_store import StageStore
 from toile.diagnosis.stage_times import TIMES_FILE, read_times
 from toile.diagnosis.stages import FILES, TRACKED_FILE
+from toile.effects.gusts import Gusts
 from toile.errors import InputError
 
 SCENE = (
@@ -330,3 +333,78 @@ def test_frames_after_tracking_has_lost_the_cloth_do_not_count(
     assert "loses the cloth in frame 7" in report.verdict.reason
     # Of what is not known no prediction is measured.
     assert all(effect.shrink is None for effect in report.effects)
+
+
+def test_gusts_of_a_session_have_the_modes_that_its_longest_clip_asks_for(clip: Path, tmp_path: Path) -> None:
+    """12 frames at 50 fps are 0.22 s: two half waves reach 3 Hz; one clip alone keeps the usual six."""
+    (tmp_path / "session.yaml").write_text(f"clips: [{{scene: {clip}}}, {{scene: {clip}}}]\n")
+
+    register_resolvers()
+
+    def modes(*overrides: str) -> list[int]:
+        with initialize_config_dir(str(CONF), version_base=None):
+            cfg = compose("diagnose", ["effect@candidates=[air_drag,gusts]", *overrides])
+        problem = _problem(cfg)
+        clips = problem.clips if isinstance(problem, SessionProblem) else (problem,)
+        return [
+            len(effect.values) // 2 for one in clips for effect in one.effects if isinstance(effect, Gusts)
+        ]
+
+    session = f"session={tmp_path}"
+    assert modes(session) == [2, 2]
+    assert modes(session, "candidates.gusts.n_modes=5") == [5, 5]
+    assert modes("scene=native", f"scene.name={clip}") == [6]
+
+
+@pytest.fixture(scope="module")
+def two_clips(clip: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two clips of one cloth, which are one and the same."""
+    folder = tmp_path_factory.mktemp("session")
+    for name in ("first", "second"):
+        shutil.copytree(clip, folder / name)
+    (folder / "session.yaml").write_text("clips:\n- scene: first\n- scene: second\nplumb_line: true\n")
+    return folder
+
+
+def test_clips_of_a_session_have_one_answer(two_clips: Path, tmp_path: Path) -> None:
+    small = (
+        "session_model.side=6",
+        "session_model.modes=2",
+        "session_model.window=0.16",
+        "session_model.fit.passes=2",
+        "session_model.refining.rounds=1",
+        "session_model.refining.passes=2",
+        "session_model.placebos=1",
+        "effect@candidates=[air_drag,gravity_tilt,gusts,shading]",
+    )
+    diagnose_session_folder(two_clips, tmp_path, (*SMALL, *small))
+    report = GapReport.read(tmp_path / DIAGNOSIS_FILE)
+    assert report.session is not None
+    assert report.session.clips == ("first", "second")
+    assert report.session.frames == (12, 12)
+    assert sum(report.session.probabilities.values()) == pytest.approx(1.0)
+    # A plumb line was in view.
+    assert {effect.name for effect in report.effects} == {"air_drag", "gusts", "shading"}
+    assert len(report.where.frames) == 24
+    assert set(report.session.material) >= {"stretching", "shearing", "bending"}
+    shrunk = [effect.shrink for effect in report.effects if effect.shrink is not None]
+    assert all(shrink.held_out == "the last clip" for shrink in shrunk)
+    assert (tmp_path / report.where.vertices).is_file()
+    answer = (tmp_path / DIAGNOSIS_FILE).read_bytes()
+    (tmp_path / DIAGNOSIS_FILE).unlink()
+    diagnose_session_folder(two_clips, tmp_path, (*SMALL, *small))
+    assert (tmp_path / DIAGNOSIS_FILE).read_bytes() == answer
+    times = read_times(tmp_path / TIMES_FILE)
+    assert all(stage.cached for stage in times.values())
+
+
+def test_clips_on_other_grids_are_refused(two_clips: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other"
+    with contextlib.chdir(tmp_path):
+        grid = [s for s in SCENE if "grid" not in s]
+        assert main(("generate", *grid, "settings.grid=[6,6]", "folder=other")) == 0
+    folder = tmp_path / "session"
+    folder.mkdir()
+    (folder / "session.yaml").write_text(f"clips:\n- scene: {two_clips / 'first'}\n- scene: {other}\n")
+    with pytest.raises(InputError, match="grid"):
+        diagnose_session_folder(folder, tmp_path / "out", SMALL)

@@ -11,7 +11,7 @@ from typing import Any
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -25,8 +25,10 @@ from toile.cli.settings import check_settings
 from toile.cli.terminal import print_path
 from toile.diagnosis.diagnose import diagnose
 from toile.diagnosis.made_with import MadeWith
-from toile.diagnosis.problem import check_problem
+from toile.diagnosis.problem import DiagnosisProblem, check_problem
 from toile.diagnosis.record import DIAGNOSIS_FILE, GapReport
+from toile.diagnosis.session_diagnosis import diagnose_session
+from toile.diagnosis.session_settings import SessionSettings
 from toile.diagnosis.settings import DiagnosisSettings
 from toile.diagnosis.workers import Workers
 from toile.effects.base import Effect
@@ -46,6 +48,7 @@ from toile.reports.run_folder import (
     write_overrides,
 )
 from toile.scenes.scene import Scene
+from toile.scenes.session import Session, load_session
 
 
 @alone
@@ -107,7 +110,7 @@ def finished_diagnosis(
     progress("done", 1.0)
     arrays = DiagnosisArrays.read(folder.path, report)
     write_diagnosis_dashboard(folder.path / "tensorboard", report, arrays)
-    write_diagnosis_page(folder.page, report, arrays, problem.reconstruction.scene)
+    write_diagnosis_page(folder.page, report, arrays, problem.scene, problem.name)
     return report
 
 
@@ -132,9 +135,23 @@ def diagnose_scene(scene_folder: Path, output_folder: Path, settings: Any) -> No
         output_folder: diagnosis.json goes there.
         settings: None, or overrides of the configuration as ``key=value``.
     """
+    _diagnose_alone(("scene=native", f"scene.name='{scene_folder.resolve()}'"), output_folder, settings)
+
+
+def diagnose_session_folder(session_folder: Path, output_folder: Path, settings: Any) -> None:
+    """Diagnose one session, as diagnose_scene does one scene.
+
+    Args:
+        session_folder: with session.yaml.
+        output_folder: diagnosis.json goes there.
+        settings: None, or overrides of the configuration as ``key=value``.
+    """
+    _diagnose_alone((f"session='{session_folder.resolve()}'",), output_folder, settings)
+
+
+def _diagnose_alone(recording: tuple[str, ...], output_folder: Path, settings: Any) -> None:
     register_resolvers()
-    scene = ("scene=native", f"scene.name='{scene_folder.resolve()}'", "workers=1")
-    overrides = [*scene, *map(str, settings or [])]
+    overrides = [*recording, "workers=1", *map(str, settings or [])]
     if GlobalHydra.instance().is_initialized():
         cfg = compose("diagnose", overrides)
     else:
@@ -203,6 +220,16 @@ class _Problem:
     made_with: MadeWith
     warnings: tuple[str, ...]
 
+    @property
+    def scene(self) -> Scene:
+        """For the page."""
+        return self.reconstruction.scene
+
+    @property
+    def name(self) -> str:
+        """For the page."""
+        return self.scene.name
+
     def diagnosed(self, folder: Path, progress: Callable[[str, float], None]) -> GapReport:
         """The answer, in ``diagnosis.json`` as well."""
         with Workers(self.workers) as workers:
@@ -221,7 +248,87 @@ class _Problem:
         return report
 
 
-def _problem(cfg: DictConfig) -> _Problem:
+@dataclass(frozen=True)
+class SessionProblem:
+    """What a configuration asks for of a session, built and checked.
+
+    Attributes:
+        clips: one problem each.
+        session: see Session.
+        together: settings of all clips.
+        workers: processes.
+    """
+
+    clips: tuple[_Problem, ...]
+    session: Session
+    together: SessionSettings
+    workers: int
+
+    @property
+    def scene(self) -> None:
+        """No single one is shown."""
+        return None
+
+    @property
+    def name(self) -> str:
+        """For the page."""
+        return self.session.name
+
+    def diagnosed(self, folder: Path, progress: Callable[[str, float], None]) -> GapReport:
+        """The answer, in ``diagnosis.json`` as well."""
+        first = self.clips[0]
+        problems = [DiagnosisProblem(p.reconstruction, p.recipe, p.effects, p.settings) for p in self.clips]
+        with Workers(self.workers) as workers:
+            report = diagnose_session(
+                problems,
+                self.session,
+                first.effects,
+                first.settings,
+                self.together,
+                folder,
+                progress,
+                workers,
+            )
+        warnings = dict.fromkeys(warning for clip in self.clips for warning in clip.warnings)
+        report = replace(report, warnings=tuple(warnings))
+        report.write(folder / DIAGNOSIS_FILE)
+        return report
+
+
+def session_problem(cfg: DictConfig) -> SessionProblem:
+    """What a configuration with ``session`` asks for.
+
+    Raises:
+        InputError: the session, a scene or a setting is of no use.
+    """
+    session = load_session(str(cfg.session))
+    clips = []
+    for clip in session.clips:
+        of_clip = cfg.copy()
+        OmegaConf.update(of_clip, "scene.name", str(clip.folder.resolve()))
+        # What is held out is a whole clip; every frame of the others is fitted.
+        OmegaConf.update(of_clip, "diagnosis.held_out", 0.0)
+        clips.append(_clip_problem(of_clip))
+    grids = {clip.reconstruction.scene.grid for clip in clips}
+    if len(grids) > 1:
+        raise InputError(
+            "The clips of a session are of one cloth, on one grid",
+            where=str(cfg.session),
+            expected="templates of the same grid",
+            got=", ".join(map(str, sorted(grids))),
+        )
+    scenes = [clip.reconstruction.scene for clip in clips]
+    longest = max((scene.n_frames - 1) / scene.fps for scene in scenes)
+    effects = tuple(effect.for_clip(longest) for effect in clips[0].effects)
+    clips = [replace(clip, effects=effects) for clip in clips]
+    return SessionProblem(tuple(clips), session, instantiate(cfg.session_model), int(cfg.workers))
+
+
+def _problem(cfg: DictConfig) -> _Problem | SessionProblem:
+    return _clip_problem(cfg) if cfg.session is None else session_problem(cfg)
+
+
+def _clip_problem(cfg: DictConfig) -> _Problem:
     check_settings_are_used(cfg)
     scene: Scene = instantiate(cfg.scene)
     warnings = scene_warnings(scene, force=cfg.force)

@@ -214,6 +214,8 @@ def window_systems(
     n_shared: int,
     simulator: LinearizableSimulator | None = None,
     workers: Workers = ALONE,
+    *,
+    motion: bool = False,
 ) -> list[WindowSystem]:
     """Gauss-Newton systems of all windows; each start hangs on the end before it.
 
@@ -226,14 +228,17 @@ def window_systems(
         n_shared: unknowns of both.
         simulator: with which they were, if not with that of the base model.
         workers: share the windows.
+        motion: whether systems keep how every sub-step changes.
     """
     systems: list[WindowSystem] = []
     end: Array | None = None
 
-    def normal(k: int) -> tuple[Array, Array, Array]:
-        return shooting.normal(windows[k], base, shared[k], seen, n_shared, simulator)
+    def normal(k: int) -> tuple[Array, Array, Array, NDArray[np.float32] | None]:
+        steps: list[NDArray[np.float32]] | None = [] if motion else None
+        found = shooting.normal(windows[k], base, shared[k], seen, n_shared, simulator, steps)
+        return (*found, None if steps is None else np.stack(steps))
 
-    for k, (G, g, next_end) in enumerate(workers.map(normal, range(len(windows)))):
+    for k, (G, g, next_end, changes) in enumerate(workers.map(normal, range(len(windows)))):
         window, link = windows[k], None
         if end is not None:
             link = Link(shooting.jump(windows[k - 1], window), shooting.jump_ratio(), end)
@@ -243,7 +248,14 @@ def window_systems(
         pushed = np.arange(len(external)) >= shooting.layout(n)[1]
         systems.append(
             WindowSystem(
-                G, g, window.standardised, pushed & ~external, external, fitted_discrepancy(shooting), link
+                G,
+                g,
+                window.standardised,
+                pushed & ~external,
+                external,
+                fitted_discrepancy(shooting),
+                link,
+                changes,
             )
         )
     return systems

@@ -62,6 +62,8 @@ class WindowSystem:
         internal, external: which local unknowns are forces of that kind (n_local,).
         fitted: deviations of the forces in the base fit.
         link: to the window before; without one the start has a prior of its own.
+        motion: change of the positions of every sub-step by [shared | local] (S + 1, 3N, n) [m]; None where
+            nobody asks for it.
     """
 
     matrix: Array
@@ -71,6 +73,7 @@ class WindowSystem:
     external: NDArray[np.bool_]
     fitted: Discrepancy
     link: Link | None = None
+    motion: NDArray[np.float32] | None = None
 
     def with_shared(self, kept: Sequence[int]) -> WindowSystem:
         """The same with some of the shared unknowns."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from toile.physics.cloth import Cloth, grid_cloth
+from toile.physics.grid_laws import GridLaw
 from toile.physics.units import PAPER_TIME_STEP, NetworkUnits
 from toile.scenes.scene import Scene
 
@@ -53,7 +54,7 @@ def model_grids(scene: Scene, fine: Cloth, sides: Sequence[int]) -> list[ModelGr
     return [model_grid(scene, fine, side) for side in dict.fromkeys(min(side, whole) for side in sides)]
 
 
-def model_grid(scene: Scene, fine: Cloth, side: int | None) -> ModelGrid:
+def model_grid(scene: Scene, fine: Cloth, side: int | None, law: GridLaw | None = None) -> ModelGrid:
     """A model of the scene's cloth with ``side`` vertices along each side; None for the scene's own grid.
 
     Rest lengths are arc lengths of the fine cloth at rest: a template that is not evenly spaced stays so.
@@ -62,6 +63,7 @@ def model_grid(scene: Scene, fine: Cloth, side: int | None) -> ModelGrid:
         scene: its grid and pinned vertices are used.
         fine: the scene's cloth; areal density, rest lengths, law.
         side: vertices.
+        law: None for the scene's cloth's.
     """
     H, W = scene.grid
     h, w = (H, W) if side is None else (min(side, H), min(side, W))
@@ -77,7 +79,7 @@ def model_grid(scene: Scene, fine: Cloth, side: int | None) -> ModelGrid:
     area = size[0] * size[1]
     density = float(fine.masses.sum()) / area
     pinned = tuple(_nearest(int(k), (H, W), (h, w)) for k in fine.pinned)
-    cloth = grid_cloth((h, w), size, density, pinned, torch.from_numpy(lengths), fine.law)
+    cloth = grid_cloth((h, w), size, density, pinned, torch.from_numpy(lengths), law or fine.law)
     cell = area / ((h - 1) * (w - 1))
     units = NetworkUnits(density * cell, cell**0.5, PAPER_TIME_STEP)
     to_scene, to_model = np.asarray(prolong, np.float64), np.asarray(restrict, np.float64)

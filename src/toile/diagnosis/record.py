@@ -16,6 +16,8 @@ Keys of the file:
 - ``protocol``: ``seed``, ``frames_used``, ``frames_held_out``, ``version``, ``naive``
 - ``calibration``: ``calibrated``, ``file``, ``settings``, ``made_for``, ``differences`` [text]
 - ``warnings``: [text], what is remarkable about the scene
+- ``session``: null, or of several clips ``clips`` [name], ``frames`` [number], ``probabilities`` {name:
+  number}, ``equivalence_classes`` [[name]], ``material`` {name: number}, ``left``
 
 Numbers that do not exist are null. Keys that are not listed are refused: a typing error must not pass for a
 missing answer.
@@ -229,6 +231,27 @@ class CalibrationUse:
 
 
 @dataclass(frozen=True)
+class SessionAnswer:
+    """What several clips of one cloth add to a report.
+
+    Attributes:
+        clips: names of their folders.
+        frames: of each that were used.
+        probabilities: of every hypothesis, NONE and UNKNOWN among them.
+        equivalence_classes: effects that these clips cannot tell apart.
+        material: of the base model, by name, SI.
+        left: misfit of the best hypothesis over that of a right one.
+    """
+
+    clips: tuple[str, ...]
+    frames: tuple[int, ...]
+    probabilities: dict[str, Fraction]
+    equivalence_classes: tuple[tuple[str, ...], ...]
+    material: dict[str, float]
+    left: float
+
+
+@dataclass(frozen=True)
 class GapReport:
     """The whole of ``diagnosis.json``.
 
@@ -236,6 +259,7 @@ class GapReport:
         verdict, where, effects, alias, protocol: see there.
         calibration: None in files of before that do not say it.
         warnings: what is remarkable about the scene, one sentence each.
+        session: of several clips; None for one clip alone.
     """
 
     # Of this and of every part: numbers are finite, nothing is converted, and no key is passed over.
@@ -248,6 +272,7 @@ class GapReport:
     protocol: Protocol
     calibration: CalibrationUse | None = None
     warnings: tuple[str, ...] = ()
+    session: SessionAnswer | None = None
 
     def effect(self, name: str) -> EffectReport | None:
         """The report on one candidate, None if it is not listed."""
@@ -327,6 +352,7 @@ _PARTS = {
     "alias": Alias,
     "protocol": Protocol,
     "calibration": CalibrationUse,
+    "session": SessionAnswer,
 }
 """What stands below a key."""
 

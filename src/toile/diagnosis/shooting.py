@@ -7,6 +7,7 @@ itself a question (Kennedy and O'Hagan 2001 call it the discrepancy). Gauss-Newt
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain, pairwise
@@ -174,6 +175,7 @@ class Shooting:
         boundary: tracked pinned positions (F, n_pinned, 3) [m].
         tracked: see Tracked.
         settings: see ShootingSettings.
+        forces: whether windows have forces beside what the model knows of.
     """
 
     def __init__(
@@ -186,6 +188,8 @@ class Shooting:
         boundary: Array,
         tracked: Tracked,
         settings: ShootingSettings,
+        *,
+        forces: bool = True,
     ) -> None:
         self.simulator = simulator
         self.substeps = substeps
@@ -196,6 +200,7 @@ class Shooting:
         self.tracked = tracked
         self.weight = settings.likelihood_weight
         self.settings = settings
+        self.forces = forces
         self.tension = next((t for t in simulator.terms if isinstance(t, TemplateTension)), None)
         self.masses = simulator.cloth.masses.numpy()
         self.free = simulator.assembly.free
@@ -223,7 +228,37 @@ class Shooting:
         """Offsets of velocities... of boundary positions, forces, and the number of local unknowns."""
         boundary = 2 * self.n_fields
         forces = boundary + self.n_knots(n_frames, self.settings.boundary_knot) * self.n_pinned * 3
-        return boundary, forces, forces + self.n_knots(n_frames, self.settings.force_knot) * self.n_fields
+        return boundary, forces, forces + self.n_force_knots(n_frames) * self.n_fields
+
+    def n_force_knots(self, n_frames: int) -> int:
+        """Knots of the force in a window of n_frames intervals; 0 without forces."""
+        return self.n_knots(n_frames, self.settings.force_knot) if self.forces else 0
+
+    def without_forces(self) -> Shooting:
+        """The same problem, its windows without forces of their own."""
+        return Shooting(
+            self.simulator,
+            self.substeps,
+            self.gravity,
+            self.horizontal,
+            self.grid,
+            self.boundary,
+            self.tracked,
+            self.settings,
+            forces=False,
+        )
+
+    def with_window(self, frames: int) -> Shooting:
+        """The same problem with windows of so many frames."""
+        other = copy.copy(self)
+        other.settings = replace(self.settings, window=frames)
+        return other
+
+    def pushed(self, field: Array) -> Shooting:
+        """The same problem with a force per mass (N, 3) [m/s²] beside gravity; for models without effects."""
+        other = copy.copy(self)
+        other.gravity = self.gravity + field
+        return other
 
     def external(self, n_frames: int) -> NDArray[np.bool_]:
         """Which local unknowns are forces that disturb the balance of torques (n_local,)."""
@@ -236,12 +271,12 @@ class Shooting:
         if (first, last) not in self._force_fields:
             pinned = self.simulator.assembly.pinned
             spacing = self.settings.force_knot
-            found = []
-            for knot in range(self.n_knots(last - first, spacing)):
+            found = [np.zeros((0, *self.fields.shape))]
+            for knot in range(self.n_force_knots(last - first)):
                 x = self.tracked.positions[min(first + knot * spacing, last)]
                 turned = external_first(self.fields, self.masses, x, x[pinned], self.n_external)
-                found.append(np.tensordot(turned, self.fields, 1))
-            self._force_fields[first, last] = np.stack(found)
+                found.append(np.tensordot(turned, self.fields, 1)[None])
+            self._force_fields[first, last] = np.concatenate(found)
         return self._force_fields[first, last]
 
     def deviations(self, n_frames: int, force: float, external: float) -> Array:
@@ -267,10 +302,10 @@ class Shooting:
         )
         moved = (knots @ values[oa:of].reshape(knots.shape[1], -1)).reshape(n + 1, -1, 3)
         boundary = self.boundary[window.first : window.last + 1] + moved
-        knots = hats(np.arange(n) + 0.5, self.settings.force_knot, self.n_knots(n, self.settings.force_knot))
+        knots = hats(np.arange(n) + 0.5, self.settings.force_knot, self.n_force_knots(n))
         at_knots = np.einsum(
             "qk,qknc->qnc",
-            values[of:].reshape(knots.shape[1], -1),
+            values[of:].reshape(knots.shape[1], self.n_fields),
             self.force_fields(window.first, window.last),
         )
         force = np.tensordot(knots, at_knots, 1)
@@ -403,6 +438,7 @@ class Shooting:
         seen: Callable[[int, Array], Array],
         n_shared: int,
         simulator: LinearizableSimulator | None = None,
+        substep_changes: list[NDArray[np.float32]] | None = None,
     ) -> tuple[Array, Array, Array]:
         """Gauss-Newton matrix and gradient of the image term over [shared | local standardised at force=1].
 
@@ -415,6 +451,7 @@ class Shooting:
             seen: apparent displacements (m, N, 3) [m] in a frame at given positions, the last m of them.
             n_shared: n + m.
             simulator: with which it was, if not with that of the base model.
+            substep_changes: is given the change of every position, from the start on (3N, n), if not None.
         """
         simulator = self.simulator if simulator is None else simulator
         n = window.last - window.first
@@ -430,7 +467,7 @@ class Shooting:
         pinned = self.simulator.assembly.pinned
         boundary = np.eye(self.n_pinned * 3).reshape(-1, self.n_pinned, 3) * self.settings.boundary
         na = self.n_knots(n, self.settings.boundary_knot)
-        nf = self.n_knots(n, self.settings.force_knot)
+        nf = self.n_force_knots(n)
         start[n_shared + oa : n_shared + oa + self.n_pinned * 3, pinned] = boundary
         steps = np.arange(n * sub)
         boundary_hats = hats((steps + 1) / sub, self.settings.boundary_knot, na)
@@ -464,7 +501,10 @@ class Shooting:
         frames = window.positions[::sub]
         first = tuple(a.reshape(R, -1).T.astype(np.float32) for a in (start, speed))
         end = first
-        for i, end in enumerate(chain([first], motion.tangents(0, n, sub, loads, start, speed))):
+        if substep_changes is not None:
+            substep_changes.append(first[0])
+        of_frames = motion.tangents(0, n, sub, loads, start, speed, substep_changes)
+        for i, end in enumerate(chain([first], of_frames)):
             moved = end[0]
             f = window.first + i
             apparent = seen(f, frames[i])

@@ -120,8 +120,8 @@ def held_out_shrinks(
         if better is None:
             continue
         positions[name] = better.positions
-        total = _shrink(without.errors, better.errors)
-        low, high = _interval(without.errors, better.errors, seed, settings)
+        total = shrink_of(without.errors, better.errors)
+        low, high = interval(without.errors, better.errors, seed, settings)
         found[name] = Shrink(
             METRIC,
             f"frames {first + 1} to {last}",
@@ -169,7 +169,7 @@ def best_placebo(
             without.substeps,
         )
         if found is not None:
-            shrink = _shrink(without.errors, found.errors)
+            shrink = shrink_of(without.errors, found.errors)
             if best is None or shrink > best:
                 best, kept = shrink, found
     return best, kept
@@ -224,17 +224,17 @@ def prediction_gains(
     return gains
 
 
-def _shrink(base: Array, better: Array) -> float:
+def shrink_of(base: Array, better: Array) -> float:
     """Share by which the mean of errors (n,) falls."""
     return float(1 - better.mean() / base.mean())
 
 
-def _interval(base: Array, better: Array, seed: int, settings: PredictionSettings) -> tuple[float, float]:
+def interval(base: Array, better: Array, seed: int, settings: PredictionSettings) -> tuple[float, float]:
     """90 % interval of the shrink by the circular block bootstrap over frames (Politis and Romano, 1992)."""
     from arch.bootstrap import CircularBlockBootstrap  # takes seconds
 
     frames = CircularBlockBootstrap(settings.block, base, better, seed=np.random.default_rng(seed))
-    interval = frames.conf_int(
-        lambda *errors: np.array([_shrink(*errors)]), settings.resamplings, method="percentile", size=0.9
+    found = frames.conf_int(
+        lambda *errors: np.array([shrink_of(*errors)]), settings.resamplings, method="percentile", size=0.9
     )
-    return float(interval[0, 0]), float(interval[1, 0])
+    return float(found[0, 0]), float(found[1, 0])

@@ -1,0 +1,169 @@
+"""Where a diagnosis of several clips loses what they know: `make session-ladder`.
+
+One thing after the other takes its true place: positions are the true ones, the tracked ones, or those that
+the base model refines; hypotheses have a free force or none; one clip counts or all. Sessions come from the
+package's out-of-family generator; they are kept in outputs/session_ladder, as is what is found, so that it
+goes on where it was.
+
+    python benchmarks/session_ladder.py [--sessions air_drag:3:1 none:0:2 ...] [--rungs true tracked refined]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import torch
+from hydra import compose, initialize_config_dir
+
+from toile.atomic_file import write_text
+from toile.cli.configuration import CONF, register_resolvers
+from toile.cli.diagnose import session_problem
+from toile.diagnosis.effect_sensitivities import FORCES
+from toile.diagnosis.pipeline import Pipeline
+from toile.diagnosis.problem import DiagnosisProblem
+from toile.diagnosis.results import KINDS
+from toile.diagnosis.session_stages import RefinedMotion, SeenClip, SessionModel, refined_motion, seen_clips
+from toile.diagnosis.stage_store import StageStore
+from toile.diagnosis.stage_times import StageTimes
+from toile.diagnosis.stored_values import ValueStore
+from toile.generation.clip_plan import DEFAULT_CLIPS
+from toile.generation.out_of_family.base_scene import OutOfFamilySettings
+from toile.generation.out_of_family.session_set import write_opaque_session
+from toile.generation.out_of_family.sessions import SessionRequest, make_session
+
+FOLDER = Path("outputs") / "session_ladder"
+SESSIONS = ("none:0:2", "air_drag:3:1", "internal_damping:3:3", "anisotropic_stiffness:3:4", "gusts:3:5")
+RUNGS = ("true", "tracked", "refined", "refined, force 0.3", "refined, one clip")
+
+
+def made(name: str, size: float, seed: int) -> Path:
+    """A session of that effect and size [% of the width], with the truth beside its clips."""
+    folder = FOLDER / f"{name}_{size:g}_{seed}"
+    if not (folder / "truth_2.npy").is_file():
+        setup = OutOfFamilySettings(
+            templates=(), substeps=4, coarse_substeps=3, largest_grid_share=2.5, n_frames=80, fps=50.0
+        )
+        effects = () if name == "none" else ((name, size),)
+        clips = make_session(setup, SessionRequest(folder.name, effects, seed, DEFAULT_CLIPS))
+        films = [(plan, clip.scene) for plan, clip in zip(DEFAULT_CLIPS, clips, strict=True)]
+        write_opaque_session(folder.name, films, folder)
+        for k, clip in enumerate(clips):
+            np.save(folder / f"truth_{k}.npy", clip.vertices.numpy())
+    return folder
+
+
+def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
+    """Every hypothesis on one rung."""
+    with initialize_config_dir(str(CONF), version_base=None):
+        cfg = compose("diagnose", [f"session='{folder.resolve()}'", "diagnosis=quick"])
+    asked = session_problem(cfg)
+    problems = [DiagnosisProblem(p.reconstruction, p.recipe, p.effects, p.settings) for p in asked.clips]
+    effects = asked.clips[0].effects
+    store = StageStore(out, ValueStore(KINDS, effects), StageTimes.going_on(out / "times.json"))
+    nothing = lambda what, share: None  # noqa: E731
+    clips = seen_clips(problems, [0] * len(problems), Pipeline(store, nothing), nothing)
+    truth = [
+        np.load(folder / f"truth_{k}.npy").astype(np.float64).reshape(c.n_frames, -1, 3)
+        for k, c in enumerate(clips)
+    ]
+    settings, stiffness = asked.together, asked.clips[0].settings.stiffness
+    if "one clip" in rung:
+        clips, truth = clips[:1], truth[:1]
+    if "force" in rung:
+        settings = replace(settings, fit=replace(settings.fit, force=settings.refining.force))
+    motion = _motion(clips, truth, rung, settings, stiffness)
+    width = clips[0].problem.scene.cloth_size[0]
+    error = 100 * np.mean(
+        [np.linalg.norm(x - t, axis=-1).mean() for x, t in zip(motion.positions, truth, strict=True)]
+    )
+    fitting = SessionModel(clips, motion, settings, stiffness).fitting
+    start = fitting.start_fit()
+    base = fitting.fitted((), start)
+    rows: list[dict[str, object]] = []
+    for effect in effects:
+        if isinstance(effect, FORCES):
+            began = time.process_time()
+            fit = fitting.fitted((effect,), start)
+            rows.append(
+                {
+                    "session": folder.name,
+                    "rung": rung,
+                    "position error [% of the width]": error / width,
+                    "base misfit": base.misfit,
+                    "effect": effect.NAME,
+                    "drop": base.misfit - fit.misfit,
+                    "occam": fit.occam,
+                    "passes": len(fit.history) - 1,
+                    "CPU [s]": time.process_time() - began,
+                }
+            )
+    return rows
+
+
+def _motion(
+    clips: list[SeenClip], truth: list[np.ndarray], rung: str, settings: object, stiffness: object
+) -> RefinedMotion:
+    if rung.startswith("true"):
+        return RefinedMotion(truth, None)
+    if rung.startswith("tracked"):
+        return RefinedMotion([clip.tracked.positions[: clip.n_frames] for clip in clips], None)
+    return refined_motion(clips, settings, stiffness)  # type: ignore[arg-type]
+
+
+def summary(table: pd.DataFrame) -> pd.DataFrame:
+    """Per rung: which effect leads, by how much, and how far nulls go."""
+    table = table.assign(gain=table["drop"] - table["occam"])
+    rows = []
+    for (rung, session), own in table.groupby(["rung", "session"], sort=False):
+        truth = str(session).rsplit("_", 2)[0]
+        best = own.sort_values("gain", ascending=False).iloc[0]
+        of_truth = own.loc[own["effect"] == truth, "gain"]
+        rivals = own.loc[own["effect"] != truth, "gain"].max()
+        rows.append(
+            {
+                "rung": rung,
+                "session": session,
+                "position error [%]": own["position error [% of the width]"].iloc[0],
+                "leads": best["effect"],
+                "its gain [nats]": best["gain"],
+                "truth over best rival [nats]": of_truth.iloc[0] - rivals if len(of_truth) else np.nan,
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def main() -> None:
+    """Write docs/results/session_ladder.md."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--sessions", nargs="+", default=SESSIONS)
+    parser.add_argument("--rungs", nargs="+", default=RUNGS)
+    parser.add_argument("--output", type=Path, default=Path("docs") / "results" / "session_ladder.md")
+    given = parser.parse_args()
+    torch.set_num_threads(1)
+    register_resolvers()
+    rows: list[dict[str, object]] = []
+    for session in given.sessions:
+        name, size, seed = session.split(":")
+        folder = made(name, float(size), int(seed))
+        for rung in given.rungs:
+            kept = FOLDER / f"{folder.name}, {rung}.json"
+            if not kept.is_file():
+                write_text(kept, json.dumps(fitted(folder, rung, FOLDER / f"{folder.name}_run")))
+            rows += json.loads(kept.read_text())
+            print(
+                summary(pd.DataFrame(rows)).tail(1).to_string(index=False, header=len(rows) < 12), flush=True
+            )
+    head = "# Ladder of a diagnosis of several clips\n\nMade by `make session-ladder`.\n\n"
+    write_text(
+        given.output, head + summary(pd.DataFrame(rows)).to_markdown(index=False, floatfmt=".2f") + "\n"
+    )
+
+
+if __name__ == "__main__":
+    main()

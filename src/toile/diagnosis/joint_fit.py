@@ -1,0 +1,512 @@
+"""One hypothesis at its best fit to several clips of one cloth, with no force that nobody can name.
+
+A free force, however small, buys what an effect would explain: the base model with it fits as well as the
+truth, and the evidence is gone. Here a hypothesis has the material, a wind for every clip, starts of windows
+tied to the ends before them, and its own effects; what is left is its misfit. Clips share the material and
+whatever belongs to the cloth or the device. Every hypothesis is fitted until a pass changes little.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import chain
+from typing import Annotated
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.linalg import solve_triangular
+from scipy.optimize import lsq_linear
+from scipy.signal import savgol_filter
+
+from toile.diagnosis.base_fit import (
+    N_WIND,
+    BaseFit,
+    base_deviations,
+    base_of,
+    changed_windows,
+    window_bounds,
+)
+from toile.diagnosis.continuity import Discrepancy, Joined, WindowSystem
+from toile.diagnosis.evidence import Evidence
+from toile.diagnosis.mechanics import effect_systems
+from toile.diagnosis.positive import positive_lower
+from toile.diagnosis.refits import acting_with, within_bounds
+from toile.diagnosis.shooting import Base, Shooting, WindowMotion
+from toile.diagnosis.workers import ALONE, Workers
+from toile.effects.base import Effect, Scope, Surroundings
+from toile.limits import Count, NonNegative, Positive, Unit
+from toile.physics.state import State
+
+Array = NDArray[np.float64]
+Places = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class JointFitSettings:
+    """How far a hypothesis is fitted.
+
+    Attributes:
+        passes: over all clips at most.
+        converged: share of the misfit that a pass gains, below which it is the last one.
+        nothing: nats beside it.
+        longest_wind: change of a wind in one pass at most [m/s²].
+        prior_inflation: factor on the prior deviations of an effect's coefficients: those say how large one
+            usually is, not how large it can be.
+        force: deviation of each mode of a free force that every hypothesis has beside; 0 for none.
+    """
+
+    passes: Count = 15
+    converged: NonNegative = 0.003
+    nothing: NonNegative = 1.0
+    longest_wind: Annotated[Positive, Unit("m/s²")] = 2.0
+    prior_inflation: Positive = 3.0
+    force: Annotated[NonNegative, Unit("m/s²")] = 0.0
+
+    @property
+    def size(self) -> Discrepancy:
+        """Of the forces; anything where windows have none."""
+        return Discrepancy(self.force or 1.0, self.force or 1.0)
+
+
+DEFAULT = JointFitSettings()
+
+_SMOOTHED = 5
+"""Frames through which the cubic goes whose slope is the velocity of a start."""
+
+_ROOM = 1e-12
+"""Between the bounds of a coefficient that is at one of them; clipped afterwards."""
+
+
+@dataclass(frozen=True)
+class JointClip:
+    """One clip of the session, and where its fit begins.
+
+    Attributes:
+        shooting: its problem.
+        around: the nominal clip on the model's grid.
+        device: that filmed it, from 0.
+        windows: as tracked.
+    """
+
+    shooting: Shooting
+    around: Surroundings
+    device: int
+    windows: list[WindowMotion]
+
+
+def joint_clip(
+    shooting: Shooting, around: Surroundings, n_frames: int, device: int = 0, *, forces: bool = False
+) -> JointClip:
+    """A clip whose windows start where the cloth was tracked, as fast as it was.
+
+    Args:
+        shooting: its problem, with forces or without.
+        around: the nominal clip on the model's grid.
+        n_frames: frames used.
+        device: that filmed it.
+        forces: whether windows keep forces of their own, see JointFitSettings.
+    """
+    bare = shooting if forces else shooting.without_forces()
+    return JointClip(bare, around, device, tracked_windows(bare, n_frames))
+
+
+def tracked_windows(shooting: Shooting, n_frames: int) -> list[WindowMotion]:
+    """Windows that start where the cloth was tracked; their motion is the tracked one.
+
+    Velocities are those of cubics through five frames (Savitzky and Golay 1964); frame 0 is at rest.
+
+    Args:
+        shooting: the problem.
+        n_frames: frames used.
+    """
+    sub, h = shooting.substeps, shooting.simulator.time_step
+    x = shooting.tracked.positions[:n_frames]
+    over = min(_SMOOTHED, n_frames - (n_frames + 1) % 2)
+    v = savgol_filter(x, over, min(3, over - 1), deriv=1, delta=sub * h, axis=0)
+    v[0] = 0.0
+    path = CubicSpline(np.arange(n_frames), x)
+    windows = []
+    for first, last in window_bounds(n_frames, shooting.settings.window):
+        reference = State.start(
+            torch.from_numpy(x[first].copy())[None],
+            torch.from_numpy(v[first].copy())[None],
+            h,
+            shooting.simulator.n_past,
+        )
+        n = last - first
+        motion = np.asarray(path(first + np.arange(n * sub + 1) / sub))
+        windows.append(WindowMotion(first, last, reference, np.zeros(shooting.layout(n)[2]), motion))
+    return windows
+
+
+class SharedLayout:
+    """Which unknowns the windows of all clips share: [material | wind of every clip | coefficients].
+
+    Coefficients of an effect come once for the cloth, once for every device, or once for every clip.
+
+    Args:
+        n_material: numbers of the material.
+        devices: of every clip.
+        effects: of the hypothesis.
+    """
+
+    def __init__(self, n_material: int, devices: Sequence[int], effects: Sequence[Effect]) -> None:
+        self.n_material, self.n_clips = n_material, len(devices)
+        self.n_base = n_material + N_WIND * self.n_clips
+        self.effects = tuple(effects)
+        self._places: list[list[Places]] = []
+        at = 0
+        for effect in effects:
+            n = len(effect.scales)
+            groups = {
+                Scope.CLOTH: [0] * self.n_clips,
+                Scope.DEVICE: list(devices),
+                Scope.CLIP: list(range(self.n_clips)),
+            }[effect.SCOPE]
+            order = {group: k for k, group in enumerate(dict.fromkeys(groups))}
+            self._places.append([at + order[group] * n + np.arange(n) for group in groups])
+            at += n * len(order)
+        self.n_coefficients = at
+
+    def coefficients(self, clip: int) -> list[Places]:
+        """Places of every effect's coefficients in a clip among all coefficients."""
+        return [places[clip] for places in self._places]
+
+    def base(self, clip: int) -> Places:
+        """Places of material and wind of a clip among the base values."""
+        wind = self.n_material + N_WIND * clip
+        return np.array([*range(self.n_material), *range(wind, wind + N_WIND)], np.intp)
+
+    def columns(self, clip: int) -> Places:
+        """Places of a clip's shared unknowns [material | wind | coefficients] among all shared ones."""
+        return np.concatenate((self.base(clip), *(self.n_base + c for c in self.coefficients(clip))))
+
+    def embedded(self, system: WindowSystem, clip: int) -> WindowSystem:
+        """A window's system over the shared unknowns of all clips."""
+        columns, n = self.columns(clip), self.n_base + self.n_coefficients
+        own, local = len(columns), len(system.standardised)
+        at = np.concatenate((columns, n + np.arange(local)))
+        matrix, gradient = np.zeros((n + local, n + local)), np.zeros(n + local)
+        matrix[np.ix_(at, at)] = system.matrix
+        gradient[at] = system.gradient
+        link = system.link
+        if link is not None:
+            before = np.zeros((len(link.before), n + link.before.shape[1] - own))
+            before[:, columns] = link.before[:, :own]
+            before[:, n:] = link.before[:, own:]
+            link = replace(link, before=before)
+        return replace(system, matrix=matrix, gradient=gradient, link=link)
+
+
+@dataclass(frozen=True)
+class JointFit:
+    """A hypothesis at its best fit.
+
+    Attributes:
+        names: of its effects; () for the base model.
+        values: log ratios of the material's numbers, and the winds of all clips (P + 2 C,).
+        coefficients: of its effects in prior deviations, see SharedLayout (n,).
+        covariance: of them, (n, n).
+        windows: simulated, of every clip.
+        effects: acting in every clip.
+        misfit: negative log-posterior without determinants: of images, ties, and priors.
+        history: misfit after every pass.
+        occam: half the log determinant of what the effects' coefficients have learnt.
+        converged: whether the last pass gained little.
+    """
+
+    names: tuple[str, ...]
+    values: Array
+    coefficients: Array
+    covariance: Array
+    windows: list[list[WindowMotion]]
+    effects: list[tuple[Effect, ...]]
+    misfit: float
+    history: tuple[float, ...]
+    occam: float
+    converged: bool
+
+
+class JointFitting:
+    """Fits of hypotheses to the same clips.
+
+    Args:
+        clips: of one cloth.
+        start: material that logarithms refer to (P,).
+        values: log ratios where fits begin (P,).
+        settings: see JointFitSettings.
+    """
+
+    def __init__(
+        self,
+        clips: Sequence[JointClip],
+        start: Array,
+        values: Array,
+        settings: JointFitSettings = DEFAULT,
+    ) -> None:
+        self.clips, self.start, self.settings = list(clips), start, settings
+        self.size = settings.size
+        self._values = values
+        self._devices = [clip.device for clip in clips]
+
+    def start_fit(self, workers: Workers = ALONE) -> JointFit:
+        """The base model where fits begin, simulated."""
+        values = np.concatenate((self._values, np.zeros(N_WIND * len(self.clips))))
+        layout = self.layout(())
+        windows = [
+            list(
+                workers.map(
+                    _Simulated(clip.shooting, base_of(self.start, values[layout.base(c)])), clip.windows
+                )
+            )
+            for c, clip in enumerate(self.clips)
+        ]
+        none: list[tuple[Effect, ...]] = [()] * len(self.clips)
+        cost = self._cost(layout, windows, values, np.zeros(0))
+        nothing = np.zeros((0, 0))
+        return JointFit((), values, np.zeros(0), nothing, windows, none, cost, (cost,), 0.0, False)
+
+    def fitted(self, effects: Sequence[Effect], begin: JointFit, workers: Workers = ALONE) -> JointFit:
+        """A hypothesis at its best.
+
+        Args:
+            effects: of the hypothesis, at zero or anywhere; () for the base model.
+            begin: a fit of the base model, or of some of these effects.
+            workers: share the windows of a clip.
+        """
+        layout = self.layout(effects)
+        place = self._placed(layout, begin)
+        damping, history = 0.0, [place.misfit]
+        converged = False
+        damped = self.clips[0].shooting.settings.damping
+        evidence = self._evidence(layout, place, workers)
+        little = 0
+        for _ in range(self.settings.passes):
+            moved, damping = self._step(layout, place, evidence, damping, workers)
+            if moved is None:
+                # Nowhere to go: the quadratic does not hold even for short steps.
+                converged = True
+                break
+            gained = place.misfit - moved.misfit
+            place = moved
+            history.append(place.misfit)
+            evidence = self._evidence(layout, place, workers)
+            # One short step is no sign of having arrived, two are.
+            nothing = max(self.settings.converged * abs(place.misfit), self.settings.nothing)
+            little = little + 1 if gained < nothing else 0
+            if little and (damping == 0 or little > 1):
+                converged = True
+                break
+            damping = damped.less(damping)
+        covariance, occam = self._learnt(layout, evidence)
+        return replace(
+            place,
+            history=(*begin.history, *history[1:]),
+            covariance=covariance,
+            occam=occam,
+            converged=converged,
+        )
+
+    def layout(self, effects: Sequence[Effect]) -> SharedLayout:
+        """Which unknowns the clips share under a hypothesis."""
+        return SharedLayout(len(self.start), self._devices, effects)
+
+    def costed(self, effects: Sequence[Effect], fit: JointFit) -> JointFit:
+        """A fit that was made for more clips, with the misfit of these."""
+        layout = self.layout(effects)
+        cost = self._cost(layout, fit.windows, fit.values, fit.coefficients)
+        return replace(fit, misfit=cost, history=(cost,))
+
+    def evidence(self, effects: Sequence[Effect], fit: JointFit, workers: Workers = ALONE) -> Evidence:
+        """Systems around a fit of the base model, with the coefficients of effects that may be added."""
+        layout = self.layout(effects)
+        return self._evidence(layout, self._placed(layout, fit), workers, motion=False)
+
+    def _placed(self, layout: SharedLayout, begin: JointFit) -> JointFit:
+        """A hypothesis where another one with some of its effects has ended."""
+        names = tuple(effect.NAME for effect in layout.effects)
+        if names == begin.names:
+            return begin
+        coefficients = np.zeros(layout.n_coefficients)
+        before = self.layout([e for e in layout.effects if e.NAME in begin.names])
+        for clip in range(len(self.clips)):
+            here = dict(zip(names, layout.coefficients(clip), strict=True))
+            for effect, places in zip(before.effects, before.coefficients(clip), strict=True):
+                coefficients[here[effect.NAME]] = begin.coefficients[places]
+        return replace(begin, names=names, coefficients=coefficients)
+
+    def _acting(self, layout: SharedLayout, coefficients: Array) -> list[tuple[Effect, ...]]:
+        return [
+            tuple(
+                acting_with(effect, coefficients[places])
+                for effect, places in zip(layout.effects, layout.coefficients(clip), strict=True)
+            )
+            for clip in range(len(self.clips))
+        ]
+
+    def _bounded(self, layout: SharedLayout, coefficients: Array) -> Array:
+        bounded = coefficients.copy()
+        for clip in range(len(self.clips)):
+            for effect, places in zip(layout.effects, layout.coefficients(clip), strict=True):
+                bounded[places] = within_bounds(effect, coefficients[places])
+        return bounded
+
+    def _evidence(
+        self, layout: SharedLayout, place: JointFit, workers: Workers, *, motion: bool = True
+    ) -> Evidence:
+        systems: list[WindowSystem] = []
+        acting = self._acting(layout, place.coefficients)
+        for c, clip in enumerate(self.clips):
+            fit = BaseFit(place.windows[c], self.start, place.values[layout.base(c)], place.misfit, ())
+            n = sum(len(effect.scales) for effect in layout.effects)
+            own = effect_systems(clip.shooting, fit, acting[c], clip.around, None, n, workers, motion=motion)
+            systems += [layout.embedded(system, c) for system in own]
+        return Evidence(systems, place.values, self._deviations(layout), coefficients=place.coefficients)
+
+    def _deviations(self, layout: SharedLayout) -> Array:
+        of_clip = base_deviations(self.clips[0].shooting)
+        return np.concatenate((of_clip[:-N_WIND], *([of_clip[-N_WIND:]] * layout.n_clips)))
+
+    def _longest(self, layout: SharedLayout) -> Array:
+        stiffness = self.clips[0].shooting.settings.longest_stiffness
+        winds = N_WIND * layout.n_clips
+        return np.array([stiffness] * layout.n_material + [self.settings.longest_wind] * winds)
+
+    def _cost(
+        self, layout: SharedLayout, windows: list[list[WindowMotion]], values: Array, coefficients: Array
+    ) -> float:
+        images = sum(
+            clip.shooting.clip_cost(own, self.size) for clip, own in zip(self.clips, windows, strict=True)
+        )
+        prior = ((values / self._deviations(layout)) ** 2).sum()
+        own = ((coefficients / self.settings.prior_inflation) ** 2).sum()
+        return float(images + 0.5 * (prior + own))
+
+    def _step(
+        self, layout: SharedLayout, place: JointFit, evidence: Evidence, damping: float, workers: Workers
+    ) -> tuple[JointFit | None, float]:
+        """One pass, and the damping that it took; None where no step lowers the misfit."""
+        damped = self.clips[0].shooting.settings.damping
+        for _ in range(damped.tried):
+            joined = Joined(evidence.systems, self.size, damping)
+            shared = self._shared_step(layout, place, joined, damping)
+            values = place.values + shared[: layout.n_base]
+            coefficients = place.coefficients + shared[layout.n_base :]
+            moved = self._moved(layout, place, values, coefficients, joined.locals(shared), workers, evidence)
+            if moved is not None and moved.misfit < place.misfit:
+                return moved, damping
+            damping = damped.more(damping)
+        return None, damping
+
+    def _shared_step(self, layout: SharedLayout, place: JointFit, joined: Joined, damping: float) -> Array:
+        """Change of the shared unknowns to the minimum of the quadratic within their bounds."""
+        scale, now = self._scale(layout), np.concatenate((place.values, place.coefficients))
+        H = joined.reduced.matrix + np.diag((1 + damping) / scale**2)
+        right = joined.reduced.right - now / scale**2
+        lower = positive_lower(scale[:, None] * H * scale)
+        low, high = self._reach(layout, place)
+        found = lsq_linear(
+            lower.T,
+            solve_triangular(lower, scale * right, lower=True),
+            (low / scale, high / scale),
+            method="bvls",
+        )
+        # What rounding puts beyond a bound would be refused by the effect.
+        return np.clip(scale * found.x, low, high)
+
+    def _reach(self, layout: SharedLayout, place: JointFit) -> tuple[Array, Array]:
+        """By how much every shared unknown may change at least and at most."""
+        longest = self._longest(layout)
+        low, high = np.full(layout.n_coefficients, -np.inf), np.full(layout.n_coefficients, np.inf)
+        for clip in range(len(self.clips)):
+            for effect, places in zip(layout.effects, layout.coefficients(clip), strict=True):
+                low[places] = [p.low / p.scale for p in effect.parameters]
+                high[places] = [p.high / p.scale for p in effect.parameters]
+        own = place.coefficients
+        # At its bound a coefficient still needs some room, however little.
+        return (
+            np.concatenate((-longest, np.minimum(low - own, -_ROOM))),
+            np.concatenate((longest, np.maximum(high - own, _ROOM))),
+        )
+
+    def _scale(self, layout: SharedLayout) -> Array:
+        """Prior deviations of all shared unknowns."""
+        own = np.full(layout.n_coefficients, self.settings.prior_inflation)
+        return np.concatenate((self._deviations(layout), own))
+
+    def _moved(
+        self,
+        layout: SharedLayout,
+        place: JointFit,
+        values: Array,
+        coefficients: Array,
+        changes: list[Array],
+        workers: Workers,
+        evidence: Evidence,
+    ) -> JointFit | None:
+        """The hypothesis with other unknowns, simulated; None where a step blows up."""
+        coefficients = self._bounded(layout, coefficients)
+        acting = self._acting(layout, coefficients)
+        windows: list[list[WindowMotion]] = []
+        at = 0
+        for c, clip in enumerate(self.clips):
+            step = np.concatenate((values - place.values, coefficients - place.coefficients))[
+                layout.columns(c)
+            ]
+            ahead = zip(
+                place.windows[c],
+                evidence.systems[at : at + len(place.windows[c])],
+                changes[at:],
+                strict=False,
+            )
+            own = [_predicted(w, system, np.concatenate((step, change))) for w, system, change in ahead]
+            base = base_of(self.start, values[layout.base(c)])
+            of_clip = changes[at : at + len(own)]
+            at += len(own)
+            try:
+                windows.append(
+                    changed_windows(clip.shooting, own, of_clip, base, acting[c], clip.around, workers)
+                )
+            except FloatingPointError:
+                return None
+        if not all(window.converged for window in chain.from_iterable(windows)):
+            return None
+        cost = self._cost(layout, windows, values, coefficients)
+        return replace(
+            place, values=values, coefficients=coefficients, windows=windows, effects=acting, misfit=cost
+        )
+
+    def _learnt(self, layout: SharedLayout, evidence: Evidence) -> tuple[Array, float]:
+        """Covariance of the coefficients, and half the log determinant of what has been learnt of them."""
+        n, b = layout.n_coefficients, layout.n_base
+        if not n:
+            return np.zeros((0, 0)), 0.0
+        reduced = evidence.reduced(self.size).matrix
+        scale = self._scale(layout)
+        H = np.eye(b + n) + scale[:, None] * reduced * scale
+        covariance = scale[:, None] * np.linalg.inv(H) * scale
+        inside = covariance[b:, b:]
+        _, whole = np.linalg.slogdet(inside / self.settings.prior_inflation**2)
+        return inside, float(-0.5 * whole)
+
+
+def _predicted(window: WindowMotion, system: WindowSystem, step: Array) -> WindowMotion:
+    """The window where its tangents say it will go: where its simulation begins to look."""
+    assert system.motion is not None
+    moved = (system.motion @ step.astype(np.float32)).reshape(window.positions.shape)
+    return replace(window, positions=window.positions + moved)
+
+
+@dataclass(frozen=True)
+class _Simulated:
+    """Simulates a window of a problem with base values; goes from process to process."""
+
+    shooting: Shooting
+    base: Base
+
+    def __call__(self, window: WindowMotion) -> WindowMotion:
+        """The window, simulated."""
+        return self.shooting.simulate(window, window.standardised, self.base)

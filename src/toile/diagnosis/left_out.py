@@ -1,0 +1,196 @@
+"""How far the error shrinks on a whole clip that no fit has seen.
+
+Material and effects come from the other clips. The clip left out is predicted piece by piece: from where the
+cloth was tracked, and as fast as it was, some frames ahead with nothing free. Its wind is that of the
+hypothesis' own fit to all clips, since no other clip knows of it; base model and effect have that advantage
+alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toile.diagnosis.base_fit import N_WIND, base_of
+from toile.diagnosis.joint_fit import JointClip, JointFit, JointFitting, tracked_windows
+from toile.diagnosis.record import Shrink
+from toile.diagnosis.refits import acting_with
+from toile.diagnosis.shooting import Base, cosine_modes
+from toile.diagnosis.shrinkage import DEFAULT as PREDICTION
+from toile.diagnosis.shrinkage import METRIC, interval, shrink_of
+from toile.effects.base import Effect, Scope
+
+Array = NDArray[np.float64]
+
+_SIZES = (0.05, 0.15, 0.4)
+"""Of the placebos' forces [m/s²]."""
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Prediction of the clip that was left out.
+
+    Attributes:
+        shrinks: by effect.
+        frames: that were predicted.
+    """
+
+    shrinks: dict[str, Shrink]
+    frames: tuple[int, ...]
+
+
+def left_out_shrinks(
+    whole: JointFitting,
+    without: JointFitting | None,
+    base: JointFit,
+    fits: Mapping[str, JointFit],
+    effects: Mapping[str, Effect],
+    ahead: int,
+    placebos: int,
+    seed: int,
+) -> LeftOut:
+    """Errors of the predictions of the last clip, with and without effects.
+
+    Args:
+        whole: the problem of all clips.
+        without: of all but the last one; None where there is only one: then that one is predicted by a fit
+            that has seen it, piece by piece.
+        base: the base model, fitted to all.
+        fits: effects to compare, fitted to all, by name.
+        effects: by name.
+        ahead: frames of a piece.
+        placebos: force fields without meaning; the best one counts.
+        seed: of those.
+    """
+    clip = whole.clips[-1]
+    chosen: dict[str, tuple[tuple[Effect, ...], JointFit]] = {"": ((), base)}
+    chosen |= {name: ((effects[name],), fit) for name, fit in fits.items()}
+    errors: dict[str, Array | None] = {}
+    ours = _Predictor(clip, ahead)
+    for name, (own, fit) in chosen.items():
+        others = fit if without is None else without.fitted(own, _cut(whole, without, own, fit))
+        last = whole.layout(own)
+        wind = fit.values[last.base(len(whole.clips) - 1)][-N_WIND:]
+        values = np.concatenate((others.values[: last.n_material], wind))
+        acting = _acting(whole, without, own, others, fit)
+        errors[name] = ours.errors(base_of(whole.start, values), acting)
+        if not name:
+            model = base_of(whole.start, values)
+    without_effect = errors.pop("")
+    if without_effect is None:
+        return LeftOut({}, ())
+    best = _best_placebo(ours, model, without_effect, placebos, seed)
+    shrinks = {}
+    for name, better in errors.items():
+        if better is None:
+            continue
+        total = shrink_of(without_effect, better)
+        low, high = interval(without_effect, better, seed, PREDICTION)
+        held = "the last clip" if without is not None else f"pieces of {ahead} frames"
+        shrinks[name] = Shrink(
+            METRIC,
+            held,
+            float(without_effect.mean() * 1e3),
+            float(better.mean() * 1e3),
+            total,
+            min(low, total),
+            max(high, total),
+            best,
+        )
+    return LeftOut(shrinks, ours.frames)
+
+
+class _Predictor:
+    """Predicts a clip piece by piece.
+
+    Args:
+        clip: to predict.
+        ahead: frames of a piece.
+    """
+
+    def __init__(self, clip: JointClip, ahead: int) -> None:
+        n = clip.windows[-1].last + 1
+        self.shooting = clip.shooting.with_window(ahead)
+        self.windows = tracked_windows(self.shooting, n)
+        self.around = clip.around
+        self.frames = tuple(range(1, n))
+
+    def errors(self, base: Base, effects: tuple[Effect, ...], field: Array | None = None) -> Array | None:
+        """Mean distance of every predicted frame (F - 1,) [m]; None where a step fails.
+
+        Args:
+            base: material and wind.
+            effects: that act.
+            field: force per mass beside (N, 3) [m/s²].
+        """
+        found = []
+        shooting = self.shooting if field is None else self.shooting.pushed(field)
+        for window in self.windows:
+            try:
+                moved = shooting.simulate(window, window.standardised, base, effects, self.around)
+            except FloatingPointError:
+                return None
+            if not moved.converged:
+                return None
+            frames = moved.positions[:: shooting.substeps][1:]
+            seen = shooting.tracked.positions[window.first + 1 : window.last + 1]
+            found.append(np.linalg.norm(frames - seen, axis=-1).mean(-1))
+        return np.concatenate(found)
+
+
+def _best_placebo(ours: _Predictor, base: Base, without: Array, n: int, seed: int) -> float | None:
+    """Best shrink among smooth static force fields, in either direction and of several sizes."""
+    rng = np.random.default_rng(seed)
+    modes = cosine_modes(ours.shooting.grid, 2)
+    best: float | None = None
+    for _ in range(n):
+        field = np.einsum("kc,kn->nc", rng.standard_normal((len(modes), 3)), modes) / len(modes) ** 0.5
+        for size in (*_SIZES, *(-s for s in _SIZES)):
+            found = ours.errors(base, (), size * field)
+            if found is not None:
+                total = shrink_of(without, found)
+                best = total if best is None else max(best, total)
+    return best
+
+
+def _cut(whole: JointFitting, without: JointFitting, effects: tuple[Effect, ...], fit: JointFit) -> JointFit:
+    """A fit to all clips as the begin of one to all but the last."""
+    before, after = whole.layout(effects), without.layout(effects)
+    n = len(without.clips)
+    coefficients = np.zeros(after.n_coefficients)
+    for clip in range(n):
+        for there, here in zip(before.coefficients(clip), after.coefficients(clip), strict=True):
+            coefficients[here] = fit.coefficients[there]
+    cut = replace(
+        fit,
+        values=fit.values[: after.n_base],
+        coefficients=coefficients,
+        windows=fit.windows[:n],
+        effects=fit.effects[:n],
+    )
+    return without.costed(effects, cut)
+
+
+def _acting(
+    whole: JointFitting,
+    without: JointFitting | None,
+    effects: tuple[Effect, ...],
+    others: JointFit,
+    fit: JointFit,
+) -> tuple[Effect, ...]:
+    """The effects as they act in the last clip."""
+    places = whole.layout(effects).coefficients(len(whole.clips) - 1)
+    devices = [] if without is None else [clip.device for clip in without.clips]
+    acting = []
+    for k, effect in enumerate(effects):
+        # What no other clip knows of, its own gusts or a device of its own, comes from the fit to all.
+        of_clip = fit.coefficients[places[k]]
+        same = devices.index(whole.clips[-1].device) if whole.clips[-1].device in devices else None
+        known = {Scope.CLOTH: 0, Scope.DEVICE: same, Scope.CLIP: None}[effect.SCOPE]
+        if without is not None and known is not None:
+            of_clip = others.coefficients[without.layout(effects).coefficients(known)[k]]
+        acting.append(acting_with(effect, of_clip))
+    return tuple(acting)

@@ -1,0 +1,65 @@
+"""Which effects leave the same trace in a session, which leave none, and how weak they may be."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toile.diagnosis.joint_fit import JointFit, JointFitting
+from toile.diagnosis.record import Alias
+from toile.diagnosis.workers import ALONE, Workers
+from toile.effects.base import Effect
+
+Array = NDArray[np.float64]
+
+
+def session_alias(
+    fitting: JointFitting,
+    base: JointFit,
+    effects: Sequence[Effect],
+    needed: float,
+    scale: float,
+    workers: Workers = ALONE,
+) -> Alias:
+    """Alias matrix and detection limits around the base model.
+
+    Traces are those that refitted material, winds and starts leave.
+
+    Args:
+        fitting: the problem.
+        base: the base model, fitted.
+        effects: that move the cloth.
+        needed: evidence from which on an effect is seen [nats].
+        scale: by which misfits are too large, see session_evidence.
+        workers: share the windows.
+    """
+    evidence = fitting.evidence(effects, base, workers)
+    layout = fitting.layout(effects)
+    fisher = evidence.fisher(fitting.size) / scale
+    places = _places(layout.effects, [layout.coefficients(c) for c in range(layout.n_clips)])
+    names = [effect.NAME for effect in effects]
+    roots = [_inverse_root(fisher[np.ix_(own, own)]) for own in places]
+    matrix = np.eye(len(names))
+    for i in range(len(names)):
+        for j in range(i):
+            cross = roots[i] @ fisher[np.ix_(places[i], places[j])] @ roots[j]
+            matrix[i, j] = matrix[j, i] = min(1.0, float(np.linalg.norm(cross, 2)))
+    limits: dict[str, float | None] = {}
+    for effect, own in zip(effects, places, strict=True):
+        parameter = effect.parameters[0]
+        information = float(fisher[own[0], own[0]])
+        limit = float(np.sqrt(2 * needed / max(information, 1e-12))) * parameter.scale
+        limits[effect.NAME] = limit if limit <= max(abs(parameter.low), abs(parameter.high)) else None
+    return Alias(tuple(names), tuple(tuple(map(float, row)) for row in matrix), limits)
+
+
+def _places(effects: Sequence[Effect], of_clips: Sequence[Sequence[NDArray[np.intp]]]) -> list[list[int]]:
+    """Places of all coefficients of every effect, each once."""
+    return [sorted({int(p) for clip in of_clips for p in clip[k]}) for k in range(len(effects))]
+
+
+def _inverse_root(block: Array) -> Array:
+    values, vectors = np.linalg.eigh(block + 1e-3 * np.eye(len(block)))
+    return np.asarray(vectors / np.sqrt(np.maximum(values, 1e-9)) @ vectors.T)

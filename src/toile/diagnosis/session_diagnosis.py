@@ -1,0 +1,291 @@
+"""The diagnosis of several clips of one cloth, from their images to one verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toile.atomic_file import written_atomically
+from toile.diagnosis.arrays import FRAMES_FILE, VERTICES_FILE
+from toile.diagnosis.decision import UNKNOWN, Calibration
+from toile.diagnosis.effect_sensitivities import FORCES
+from toile.diagnosis.findings import estimates
+from toile.diagnosis.fingerprint import fingerprint
+from toile.diagnosis.gap_maps import stage_shares
+from toile.diagnosis.joint_fit import JointFit
+from toile.diagnosis.learned.decision import WEIGHTS, LearnedDecision
+from toile.diagnosis.learned.features import clip_features
+from toile.diagnosis.left_out import LeftOut, left_out_shrinks
+from toile.diagnosis.pipeline import Pipeline, Progress
+from toile.diagnosis.problem import DiagnosisProblem
+from toile.diagnosis.record import (
+    AMBIGUOUS,
+    NONE,
+    Alias,
+    CalibrationUse,
+    EffectReport,
+    GapReport,
+    Protocol,
+    SessionAnswer,
+    Verdict,
+    Where,
+)
+from toile.diagnosis.results import KINDS
+from toile.diagnosis.session_alias import session_alias
+from toile.diagnosis.session_evidence import DEFAULT as WEIGHING
+from toile.diagnosis.session_evidence import SessionEvidence, session_evidence
+from toile.diagnosis.session_settings import SessionSettings
+from toile.diagnosis.session_stages import (
+    HypothesisStages,
+    RefinedMotion,
+    SeenClip,
+    SessionModel,
+    refining_stage,
+    seen_clips,
+)
+from toile.diagnosis.settings import DiagnosisSettings
+from toile.diagnosis.stage_store import StageStore
+from toile.diagnosis.stage_times import TIMES_FILE, StageTimes
+from toile.diagnosis.stored_values import ValueStore
+from toile.diagnosis.verdict import verdict_of
+from toile.diagnosis.workers import ALONE, Workers
+from toile.effects.base import Effect
+from toile.effects.catalogue import STAGES
+from toile.scenes.session import Session
+
+Array = NDArray[np.float64]
+
+KNOWN_BY = {"plumb_line": "gravity_tilt", "clock": "frame_rate"}
+"""Effects that something in view has measured."""
+
+
+_FEWEST = 24
+"""Frames of a clip that the learned decision looks at."""
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What the clips have been found to say."""
+
+    clips: list[SeenClip]
+    model: SessionModel
+    base: JointFit
+    fits: dict[str, JointFit]
+    evidence: SessionEvidence
+    alias: Alias
+    left_out: LeftOut
+
+
+def diagnose_session(
+    problems: Sequence[DiagnosisProblem],
+    session: Session,
+    effects: Sequence[Effect],
+    settings: DiagnosisSettings,
+    together: SessionSettings,
+    folder: Path,
+    progress: Progress,
+    workers: Workers = ALONE,
+) -> GapReport:
+    """Diagnose several clips of one cloth; results of stages go into the folder, and are used again.
+
+    Args:
+        problems: one for every clip, all frames of which are fitted.
+        session: the clips.
+        effects: candidates, at zero.
+        settings: of every clip.
+        together: of all clips.
+        folder: of the run.
+        progress: called with what is being done and the share that is done.
+        workers: share what can be done side by side.
+
+    Returns:
+        The report; the caller writes it.
+    """
+    known = {effect for key, effect in KNOWN_BY.items() if getattr(session, key)}
+    effects = tuple(effect for effect in effects if effect.NAME not in known)
+    moving = [effect for effect in effects if isinstance(effect, FORCES)]
+    times = StageTimes.going_on(folder / TIMES_FILE)
+    store = StageStore(folder, ValueStore((*KINDS, JointFit, RefinedMotion), effects), times)
+    pipeline = Pipeline(store, progress)
+    names = list(dict.fromkeys(clip.device for clip in session.clips))
+    devices = [names.index(clip.device) for clip in session.clips]
+    clips = seen_clips(problems, devices, pipeline, progress)
+
+    made_from = {
+        f"clip {k}.{key}": value for k, p in enumerate(problems) for key, value in p.made_from.items()
+    }
+    made_from |= {"together": fingerprint(together), "devices": fingerprint(devices)}
+    made_from |= {"stiffness": fingerprint(settings.stiffness), "shooting": fingerprint(settings.shooting)}
+    refining = refining_stage(clips, together, settings.stiffness, made_from, workers)
+    motion = pipeline.run(refining, *(clip.tracked for clip in clips))
+    model = SessionModel(clips, motion, together, settings.stiffness)
+    stages = HypothesisStages(model, progress, made_from, workers)
+    base = pipeline.run(stages.fit((), 0.5), motion)
+    fits = {}
+    for k, effect in enumerate(moving):
+        share = 0.5 + 0.4 * (k + 1) / (len(moving) + 1)
+        fits[effect.NAME] = pipeline.run(stages.fit((effect,), share), motion)
+
+    progress("what the clips say together", 0.92)
+    calibration = Calibration.load(None if settings.calibration is None else Path(settings.calibration))
+    duration = sum((clip.n_frames - 1) / clip.problem.scene.fps for clip in clips)
+    of_images = [clip.seen.findings for clip in clips]
+    learned = _learned(clips, motion)
+    evidence = session_evidence(base, fits, effects, of_images, duration, calibration, learned)
+    alias = session_alias(model.fitting, base, moving, WEIGHING.threshold, max(1.0, evidence.left), workers)
+    progress("prediction of the clip that is left out", 0.95)
+    ahead = max(2, round(together.ahead * problems[-1].scene.fps / 25))
+    best = [name for name in evidence.chances if name in fits][: together.refined]
+    left_out = left_out_shrinks(
+        model.fitting,
+        model.left_out,
+        base,
+        {name: fits[name] for name in best},
+        {effect.NAME: effect for effect in moving},
+        ahead,
+        together.placebos,
+        together.seed,
+    )
+    progress("answer", 0.99)
+    found = _Found(clips, model, base, fits, evidence, alias, left_out)
+    return _report(found, effects, settings, together, calibration, session, folder)
+
+
+def _learned(clips: Sequence[SeenClip], motion: RefinedMotion) -> dict[str, float] | None:
+    """Probabilities of the learned decision; None without weights, or for clips shorter than its own."""
+    if not WEIGHTS.is_file() or min(clip.n_frames for clip in clips) < _FEWEST:
+        return None
+    features = []
+    for clip, refined in zip(clips, motion.positions, strict=True):
+        scene = clip.problem.scene
+        positions = refined.reshape(-1, *scene.grid, 3)
+        gravity = scene.gravity.numpy().astype(np.float64)
+        features.append(
+            clip_features(positions, list(scene.pinned_vertices), scene.fps, gravity, scene.cloth_size)
+        )
+    return LearnedDecision.load().session_posterior(features)
+
+
+def _report(
+    found: _Found,
+    effects: Sequence[Effect],
+    settings: DiagnosisSettings,
+    together: SessionSettings,
+    calibration: Calibration,
+    session: Session,
+    folder: Path,
+) -> GapReport:
+    evidence, by_name = found.evidence, {effect.NAME: effect for effect in effects}
+    distances = _distances(found)
+    _write(folder / VERTICES_FILE, np.concatenate(distances).mean(0))
+    _write(folder / FRAMES_FILE, np.concatenate(distances).astype(np.float32))
+    classes = tuple(c for c in found.alias.classes(together.alike) if len(c) > 1)
+    image_evidence = {
+        name: one.log_evidence for name, one in evidence.findings.items() if name not in found.fits
+    }
+    verdict = verdict_of(
+        evidence.chances,
+        image_evidence,
+        calibration,
+        found.left_out.shrinks,
+        explained=evidence.left <= WEIGHING.strange,
+        settings=settings.verdict,
+    )
+    verdict = _of_class(verdict, evidence.chances, classes, settings)
+    scores = {name: max(one.log_evidence, 0.0) for name, one in evidence.findings.items()}
+    mean = np.concatenate(distances).mean((1, 2))
+    drops = {**image_evidence, **evidence.drops}
+    return GapReport(
+        verdict,
+        Where(
+            stage_shares(scores, calibration, 0.0),
+            tuple((mean / max(float(np.median(mean)), 1e-9)).tolist()),
+            VERTICES_FILE,
+        ),
+        tuple(
+            EffectReport(
+                name,
+                STAGES[name].value,
+                chance,
+                estimates(evidence.findings[name], by_name[name], settings.widened),
+                found.left_out.shrinks.get(name),
+            )
+            for name, chance in evidence.chances.items()
+            if name in evidence.findings
+        ),
+        found.alias,
+        Protocol(
+            settings.seed,
+            tuple(range(len(mean))),
+            (),
+            f"toile {version('toile')}",
+            max(drops, key=lambda name: drops[name]),
+        ),
+        CalibrationUse(False, "", "", "", ("sessions have no calibration yet",)),
+        session=SessionAnswer(
+            tuple(clip.folder.name for clip in session.clips),
+            tuple(clip.n_frames for clip in found.clips),
+            dict(evidence.chances),
+            classes,
+            _material(found),
+            evidence.left,
+        ),
+    )
+
+
+def _of_class(
+    verdict: Verdict,
+    chances: Mapping[str, float],
+    classes: Sequence[Sequence[str]],
+    settings: DiagnosisSettings,
+) -> Verdict:
+    """Where the candidates that are left are one class, its most probable member is the answer."""
+    if verdict.effect != AMBIGUOUS:
+        return verdict
+    for one in classes:
+        total = sum(chances.get(name, 0.0) for name in one)
+        first = max(one, key=lambda name: chances.get(name, 0.0))
+        others = max((p for name, p in chances.items() if name not in one), default=0.0)
+        clear = total >= settings.verdict.likely and total >= settings.verdict.ahead * others
+        if clear and first not in (NONE, UNKNOWN):
+            listed = " or ".join(one)
+            return replace(
+                verdict,
+                effect=first,
+                probability=total,
+                stage=STAGES[first].value,
+                reason=f"{listed}: these clips cannot tell them apart, and one of them is missing.",
+            )
+    return verdict
+
+
+def _material(found: _Found) -> dict[str, float]:
+    """Material of the base model by name, SI."""
+    fitting = found.model.fitting
+    values = fitting.start * np.exp(found.base.values[: len(fitting.start)])
+    names = fitting.clips[0].shooting.simulator.cloth.energies.parameters.names
+    return dict(zip(names, map(float, values), strict=True))
+
+
+def _distances(found: _Found) -> list[Array]:
+    """Base model to tracked cloth, of every clip (F, h, w) [m]."""
+    out = []
+    for clip, windows in zip(found.model.fitting.clips, found.base.windows, strict=True):
+        shooting = clip.shooting
+        away = np.zeros(shooting.tracked.positions.shape[:2])
+        for window in windows:
+            frames = window.positions[:: shooting.substeps]
+            seen = shooting.tracked.positions[window.first : window.last + 1]
+            away[window.first : window.last + 1] = np.linalg.norm(frames - seen, axis=-1)
+        out.append(away.reshape(-1, *shooting.grid))
+    return out
+
+
+def _write(path: Path, array: NDArray[np.floating]) -> None:
+    with written_atomically(path) as temporary:
+        np.save(temporary, array)

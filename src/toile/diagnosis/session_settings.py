@@ -1,0 +1,73 @@
+"""Settings of a diagnosis of several clips."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Annotated
+
+from pydantic import Field
+
+from toile.diagnosis.joint_fit import JointFitSettings
+from toile.diagnosis.softened import ModelError
+from toile.limits import Count, CountOrZero, Positive, Seed, Unit
+from toile.physics.grid_laws import GridLaw, taut
+
+
+@dataclass(frozen=True)
+class RefiningSettings:
+    """How the tracked motion is refined before hypotheses are compared.
+
+    Tracking has forces of 10 m/s² at every vertex, so what images hardly see, the depth of a sheet that faces
+    the camera, wanders by percents of the width. The base model with smooth small forces does not, and the
+    image term is linearised anew around what it finds.
+
+    Attributes:
+        rounds: of fits, each with the image term linearised anew; 0 leaves the tracked motion as it is.
+        passes: of each, at most.
+        force: deviation of each mode of the free force [m/s²].
+    """
+
+    rounds: CountOrZero = 2
+    passes: Count = 10
+    force: Annotated[Positive, Unit("m/s²")] = 0.3
+
+
+@dataclass(frozen=True)
+class SessionSettings:
+    """How the clips of one cloth are diagnosed together.
+
+    Attributes:
+        law: of the model's cloth, see physics.grid_laws.
+        side: vertices along each side of the model, the scene's own at most.
+        longest_substep: of the model [s].
+        window: length of the windows [s].
+        modes: cosine modes along each side of a window's start.
+        boundary_knot: time between knots of the boundary positions [s].
+        boundary: deviation of the boundary positions at a knot [m]: images hardly see their depth.
+        refining: see RefiningSettings.
+        model_error: see ModelError.
+        fit: see JointFitSettings.
+        refined: hypotheses whose prediction of the clip that is left out is measured.
+        left_out_passes: over the other clips at most, for that.
+        ahead: frames at 25 frames a second over which a prediction runs.
+        placebos: force fields without meaning that are predicted beside them.
+        alike: cosine between the traces of two effects from which on they are one answer.
+        seed: of placebos.
+    """
+
+    law: GridLaw = taut
+    side: Annotated[int, Field(ge=4), Unit("vertices")] = 14
+    longest_substep: Annotated[Positive, Unit("s")] = 0.01
+    window: Annotated[Positive, Unit("s")] = 0.32
+    modes: Count = 4
+    boundary_knot: Annotated[Positive, Unit("s")] = 0.08
+    boundary: Annotated[Positive, Unit("m")] = 0.01
+    refining: RefiningSettings = field(default_factory=RefiningSettings)
+    model_error: ModelError = field(default_factory=ModelError)
+    fit: JointFitSettings = field(default_factory=JointFitSettings)
+    refined: Count = 2
+    left_out_passes: Count = 4
+    ahead: Annotated[Positive, Unit("frames")] = 12.0
+    placebos: Count = 3
+    alike: Annotated[float, Field(gt=0, le=1)] = 0.95
+    seed: Seed = 0

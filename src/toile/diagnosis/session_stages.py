@@ -1,0 +1,236 @@
+"""The stages of a diagnosis of several clips: what each does, and what it depends on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TypeVar, TypeVarTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toile.diagnosis.fingerprint import fingerprint
+from toile.diagnosis.joint_fit import JointClip, JointFit, JointFitting, joint_clip
+from toile.diagnosis.mechanics import shooting_of, start_material, surroundings
+from toile.diagnosis.model_grid import ModelGrid, model_grid
+from toile.diagnosis.pipeline import Pipeline, PipelineStage, Progress
+from toile.diagnosis.problem import DiagnosisProblem
+from toile.diagnosis.results import Seen, TrackedMotion
+from toile.diagnosis.session_settings import SessionSettings
+from toile.diagnosis.softened import softened
+from toile.diagnosis.stages import DiagnosisStages
+from toile.diagnosis.tracked import point_settings, tracked_motion
+from toile.diagnosis.workers import ALONE, Workers
+from toile.effects.base import Effect
+
+Array = NDArray[np.float64]
+Inputs = TypeVarTuple("Inputs")
+Output = TypeVar("Output")
+
+
+@dataclass(frozen=True)
+class SeenClip:
+    """A clip after tracking.
+
+    Attributes:
+        problem: the clip.
+        device: that filmed it, from 0.
+        tracked: its motion.
+        seen: what its images say beside.
+    """
+
+    problem: DiagnosisProblem
+    device: int
+    tracked: TrackedMotion
+    seen: Seen
+
+    @property
+    def n_frames(self) -> int:
+        """Frames in which tracking keeps the cloth."""
+        return min(self.problem.scene.n_frames, self.seen.known)
+
+
+def seen_clips(
+    problems: Sequence[DiagnosisProblem], devices: Sequence[int], pipeline: Pipeline, progress: Progress
+) -> list[SeenClip]:
+    """Track every clip, and look at its images.
+
+    Args:
+        problems: the clips; all of their frames are fitted.
+        devices: that filmed them.
+        pipeline: runs the stages, or reads what they have found.
+        progress: called with what is being done and the share that is done.
+    """
+    found = []
+    for k, (problem, device) in enumerate(zip(problems, devices, strict=True)):
+
+        def of_clip(what: str, share: float, k: int = k) -> None:
+            progress(f"clip {k + 1}: {what}", 0.5 * (k + min(share / 0.45, 1.0)) / len(problems))
+
+        stages = DiagnosisStages(problem, of_clip)
+        tracked = pipeline.run(_named(stages.tracking(), k))
+        seen = pipeline.run(_named(stages.image_cues(), k), tracked)
+        found.append(SeenClip(problem, device, tracked, seen))
+    return found
+
+
+def _named(stage: PipelineStage[*Inputs, Output], clip: int) -> PipelineStage[*Inputs, Output]:
+    return replace(stage, name=f"{stage.name} of clip {clip}", file=f"clip_{clip}/{stage.file}")
+
+
+@dataclass(frozen=True, eq=False)
+class RefinedMotion:
+    """Motion of all clips as the base model with small forces sees it.
+
+    Attributes:
+        positions: of every clip, on the scene's grid (F, N, 3) [m].
+        material: log ratios of the base model's numbers to their start values (P,); None where none was
+            fitted.
+    """
+
+    positions: list[Array]
+    material: Array | None
+
+
+class SessionModel:
+    """The joint problem of all clips; made anew from what tracking has found.
+
+    Args:
+        clips: see SeenClip.
+        motion: where the image term is linearised and windows start.
+        settings: see SessionSettings.
+        stiffness: start values Y [N/m], S per cell area [N/m], B [N·m].
+    """
+
+    def __init__(
+        self,
+        clips: Sequence[SeenClip],
+        motion: RefinedMotion,
+        settings: SessionSettings,
+        stiffness: tuple[float, float, float],
+    ) -> None:
+        self.clips, self.settings = list(clips), settings
+        self.grids = [_grid(clip, settings) for clip in clips]
+        start = start_material(self.grids[0], stiffness)
+        values = np.zeros(len(start)) if motion.material is None else motion.material
+        of_clips = [
+            _joint(clip, grid, positions, settings)
+            for clip, grid, positions in zip(clips, self.grids, motion.positions, strict=True)
+        ]
+        self.fitting = JointFitting(of_clips, start, values, settings.fit)
+        fewer = replace(settings.fit, passes=settings.left_out_passes)
+        self.left_out = JointFitting(of_clips[:-1], start, values, fewer) if len(of_clips) > 1 else None
+
+    @property
+    def width(self) -> float:
+        """Of the cloth [m]."""
+        return self.grids[0].cloth_size[0]
+
+    def refined(self, fit: JointFit) -> RefinedMotion:
+        """The motion of a fit, on the scenes' grids."""
+        positions = []
+        for clip, grid, windows in zip(self.fitting.clips, self.grids, fit.windows, strict=True):
+            step = clip.shooting.substeps
+            frames = [windows[0].positions[:1], *(window.positions[step::step] for window in windows)]
+            positions.append(np.einsum("vn,fnc->fvc", grid.prolong, np.concatenate(frames)))
+        return RefinedMotion(positions, fit.values[: len(self.fitting.start)])
+
+
+def refined_motion(
+    clips: Sequence[SeenClip],
+    settings: SessionSettings,
+    stiffness: tuple[float, float, float],
+    workers: Workers = ALONE,
+) -> RefinedMotion:
+    """Refine what tracking has found.
+
+    Args:
+        clips: tracked.
+        settings: see SessionSettings.
+        stiffness: where fits begin.
+        workers: share the windows of a clip.
+    """
+    motion = RefinedMotion([clip.tracked.positions[: clip.n_frames] for clip in clips], None)
+    s = settings.refining
+    forced = replace(settings, fit=replace(settings.fit, passes=s.passes, force=s.force))
+    for _ in range(s.rounds):
+        model = SessionModel(clips, motion, forced, stiffness)
+        motion = model.refined(model.fitting.fitted((), model.fitting.start_fit(workers), workers))
+    return motion
+
+
+def _grid(clip: SeenClip, settings: SessionSettings) -> ModelGrid:
+    problem = clip.problem
+    side = min(settings.side, *problem.scene.grid)
+    return model_grid(problem.scene, problem.reconstruction.cloth, side, settings.law)
+
+
+def _joint(clip: SeenClip, grid: ModelGrid, positions: Array, s: SessionSettings) -> JointClip:
+    problem = clip.problem
+    fps, of_clip = problem.scene.fps, problem.settings.shooting
+    points = point_settings(problem.recipe)
+    tracked = tracked_motion(problem.reconstruction, positions, grid, points, problem.settings.seed)
+    tracked = softened(tracked, grid.cloth_size[0], fps, of_clip.likelihood_weight, s.model_error)
+    own = replace(
+        of_clip,
+        window=max(2, round(s.window * fps)),
+        boundary_knot=max(1, round(s.boundary_knot * fps)),
+        force_knot=max(1, round(s.window * fps / 2)),
+        boundary=s.boundary,
+        modes=s.modes,
+        likelihood_weight=1.0,
+    )
+    shooting = shooting_of(problem.scene, grid, tracked, own, s.longest_substep)
+    around = surroundings(problem.scene, grid)
+    return joint_clip(shooting, around, len(positions), clip.device, forces=s.fit.force > 0)
+
+
+def refining_stage(
+    clips: Sequence[SeenClip],
+    settings: SessionSettings,
+    stiffness: tuple[float, float, float],
+    made_from: Mapping[str, str],
+    workers: Workers,
+) -> PipelineStage[*tuple[TrackedMotion, ...], RefinedMotion]:
+    """See refined_motion; made from the tracked motion of all clips."""
+
+    def compute(*tracked: TrackedMotion) -> RefinedMotion:
+        return refined_motion(clips, settings, stiffness, workers)
+
+    doing = "motion, refined by the base model"
+    return PipelineStage("refined motion", "refined.npz", doing, 0.45, RefinedMotion, compute, made_from)
+
+
+@dataclass(frozen=True)
+class HypothesisStages:
+    """Fits of hypotheses as stages.
+
+    Attributes:
+        model: see SessionModel.
+        progress: called with what is being done and the share that is done.
+        made_from: fingerprints of what every fit depends on.
+        workers: share the windows of a clip.
+    """
+
+    model: SessionModel
+    progress: Progress
+    made_from: dict[str, str]
+    workers: Workers = ALONE
+
+    def fit(self, effects: Sequence[Effect], share: float) -> PipelineStage[RefinedMotion, JointFit]:
+        """The fit of a hypothesis to all clips.
+
+        Args:
+            effects: of it; () for the base model.
+            share: of all work that is done when it begins.
+        """
+        names = "+".join(effect.NAME for effect in effects) or "base"
+        fitting = self.model.fitting
+
+        def compute(motion: RefinedMotion) -> JointFit:
+            return fitting.fitted(effects, fitting.start_fit(self.workers), self.workers)
+
+        made_from = {**self.made_from, "effects": fingerprint(tuple(effects))}
+        return PipelineStage(
+            f"fit of {names}", f"fits/{names}.npz", f"fit of {names}", share, JointFit, compute, made_from
+        )

@@ -1,0 +1,198 @@
+"""Hypotheses fitted to several clips at once, without a free force: the cause gains, its rivals do not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+import torch
+
+from toile.diagnosis.joint_fit import JointFit, JointFitSettings, JointFitting, SharedLayout, joint_clip
+from toile.diagnosis.left_out import left_out_shrinks
+from toile.diagnosis.session_alias import session_alias
+from toile.diagnosis.shooting import Shooting, ShootingSettings
+from toile.diagnosis.softened import ModelError, softened
+from toile.diagnosis.tracked import Tracked
+from toile.effects.base import Effect, Scope, Surroundings
+from toile.effects.catalogue import CATALOGUE
+from toile.effects.setting import setting
+from toile.physics.cloth import grid_cloth, grid_material
+from toile.physics.implicit.integrators import BDF2
+from toile.physics.implicit.newton import NewtonSettings
+from toile.physics.implicit.simulator import ImplicitSimulator
+from toile.physics.rollout import rollout
+from toile.physics.state import State
+
+GRID = (6, 6)
+FRAMES, FPS, SUBSTEPS = 13, 25.0, 4
+STIFFNESS = np.array([400.0, 2e-3, 1e-4])
+GRAVITY = np.array([0.0, 9.81, 0.0])
+HORIZONTAL = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+WINDS = ((0.0, 0.5), (0.6, -0.4))
+DRAG = 1.2  # 1/s, linear
+
+
+def clip(wind: tuple[float, float], effects: tuple[Effect, ...]) -> tuple[Shooting, Surroundings]:
+    """A cloth that swings down in a wind; its motion is known."""
+    cloth = grid_cloth(GRID, (0.3, 0.3), 0.15, (0, (GRID[0] - 1) * GRID[1]))
+    around = Surroundings(cloth, (0.3, 0.3), torch.from_numpy(GRAVITY), FPS, FRAMES)
+    i, j = torch.meshgrid(torch.arange(GRID[0]), torch.arange(GRID[1]), indexing="ij")
+    depth = 1 + 0.5 * j * 0.06 + 0.01 * torch.sin(1.1 * i)
+    start = torch.stack((0.94 * i * 0.06, 0.85 * j * 0.06, depth), -1).reshape(1, -1, 3).double()
+    boundary = start[0, cloth.pinned].expand(FRAMES, -1, -1)
+    given = setting(effects, around, boundary, torch.from_numpy(np.array(wind) @ HORIZONTAL))
+    h = 1 / FPS / SUBSTEPS
+    real = ImplicitSimulator(given.cloth, h, BDF2(), NewtonSettings(1e-8), given.terms)
+    k = torch.from_numpy(STIFFNESS)[:, None]
+    state = State.start(start, torch.zeros_like(start), h, real.n_past)
+    with torch.no_grad():
+        motion = rollout(
+            real, state, grid_material(k[0], k[1], k[2]), given.forces[None], given.boundary[None], SUBSTEPS
+        )
+    positions = motion.positions[0].numpy()
+    n = 3 * positions.shape[1]
+    seen = [np.eye(n, dtype=np.float32) / 0.002**2] * FRAMES
+    tracked = Tracked(positions, seen, np.zeros_like(positions), positions)
+    model = ImplicitSimulator(cloth, h, BDF2(), NewtonSettings(1e-4))
+    settings = ShootingSettings(modes=2, likelihood_weight=1.0, window=6)
+    pinned = positions[:, cloth.pinned.numpy()]
+    return Shooting(model, SUBSTEPS, GRAVITY, HORIZONTAL, GRID, pinned, tracked, settings), around
+
+
+def drag(value: float) -> Effect:
+    return CATALOGUE["air_drag"]({"linear": value})
+
+
+class Problem(NamedTuple):
+    """Fits of the base model, and of the effect that acts or might."""
+
+    fitting: JointFitting
+    start: JointFit
+    base: JointFit
+    drag: JointFit
+
+
+def problem(effects: tuple[Effect, ...]) -> Problem:
+    """Two clips in different winds; fits begin far from the truth."""
+    clips = [joint_clip(*clip(wind, effects), FRAMES) for wind in WINDS]
+    fitting = JointFitting(clips, 1.5 * STIFFNESS, np.zeros(3))
+    start = fitting.start_fit()
+    return Problem(fitting, start, fitting.fitted((), start), fitting.fitted((drag(0.0),), start))
+
+
+@pytest.fixture(scope="module")
+def dragged() -> Problem:
+    """With drag."""
+    return problem((drag(DRAG),))
+
+
+@pytest.fixture(scope="module")
+def still() -> Problem:
+    """The same without."""
+    return problem(())
+
+
+class TestFits:
+    def test_the_base_model_finds_what_made_its_clips(self, still: Problem) -> None:
+        base = still.base
+        assert base.converged
+        assert base.misfit < 0.02 * still.start.misfit
+        assert np.exp(base.values[:3]) * 1.5 == pytest.approx(1.0, abs=0.25)
+        assert base.values[3:] == pytest.approx(np.concatenate(WINDS), abs=0.15)
+
+    def test_no_effect_gains_where_none_acts(self, still: Problem) -> None:
+        assert still.base.misfit - still.drag.misfit < still.drag.occam
+
+    def test_the_cause_gains_most_and_is_as_large_as_it_was(self, dragged: Problem) -> None:
+        rival = dragged.fitting.fitted((CATALOGUE["frame_rate"](),), dragged.start)
+        gains = [dragged.base.misfit - fit.misfit - fit.occam for fit in (dragged.drag, rival)]
+        assert gains[0] > gains[1] + 10
+        acting = dragged.drag.effects[0][0]
+        # Linear and normal resistance share what they do.
+        total = float(acting.value("linear")) + 0.5 * float(acting.value("normal"))
+        assert total == pytest.approx(DRAG, rel=0.35)
+        assert (dragged.drag.coefficients >= 0).all()
+        # Clips of one cloth have one drag.
+        assert torch.equal(acting.values, dragged.drag.effects[1][0].values)
+
+    def test_a_misfit_never_rises(self, dragged: Problem) -> None:
+        assert (np.diff(dragged.drag.history) < 0).all()
+
+    def test_a_free_force_buys_what_the_effect_explains(self, dragged: Problem) -> None:
+        clips = [joint_clip(*clip(WINDS[0], (drag(DRAG),)), FRAMES, forces=True)]
+        loose = JointFitting(clips, 1.5 * STIFFNESS, np.zeros(3), JointFitSettings(force=1.6))
+        start = loose.start_fit()
+        bought = loose.fitted((), start).misfit - loose.fitted((drag(0.0),), start).misfit
+        assert bought < 0.3 * (dragged.base.misfit - dragged.drag.misfit)
+
+
+class TestSharedUnknowns:
+    def test_every_scope_shares_its_coefficients(self) -> None:
+        effects = [CATALOGUE[name]() for name in ("air_drag", "frame_rate", "gusts")]
+        scopes = [effect.SCOPE for effect in effects]
+        assert scopes == [Scope.CLOTH, Scope.DEVICE, Scope.CLIP]
+        layout = SharedLayout(3, [0, 1, 0], effects)
+        cloth, device, clips = zip(*(layout.coefficients(c) for c in range(3)), strict=True)
+        assert np.array_equal(cloth[0], cloth[1])
+        assert np.array_equal(device[0], device[2])
+        assert not set(device[0]) & set(device[1])
+        assert len(set(np.concatenate(clips))) == 3 * len(effects[2].scales)
+        assert layout.n_coefficients == 3 + 2 + 3 * len(effects[2].scales)
+
+    def test_every_clip_has_a_wind_of_its_own(self) -> None:
+        layout = SharedLayout(3, [0, 0], ())
+        assert layout.base(0).tolist() == [0, 1, 2, 3, 4]
+        assert layout.base(1).tolist() == [0, 1, 2, 5, 6]
+
+
+class TestLeftOutClip:
+    def test_the_cause_predicts_a_clip_that_it_has_not_seen(self, dragged: Problem) -> None:
+        whole = dragged.fitting
+        fewer = replace(whole.settings, passes=4)
+        without = JointFitting(whole.clips[:-1], whole.start, np.zeros(3), fewer)
+        fits, effects = {"air_drag": dragged.drag}, {"air_drag": drag(0.0)}
+        found = left_out_shrinks(whole, without, dragged.base, fits, effects, 6, 2, 0)
+        shrink = found.shrinks["air_drag"]
+        assert shrink.estimate > 0.4
+        assert shrink.best_placebo is not None
+        assert shrink.best_placebo < shrink.estimate
+        assert shrink.low <= shrink.estimate <= shrink.high
+        assert shrink.held_out == "the last clip"
+
+
+class TestAliases:
+    def test_tilted_gravity_is_a_wind_and_leaves_no_trace(self, still: Problem) -> None:
+        effects = [CATALOGUE[name]() for name in ("air_drag", "gravity_tilt", "frame_rate")]
+        alias = session_alias(still.fitting, still.base, effects, 10.0, 1.0)
+        limits = alias.detection_limits
+        assert np.allclose(np.diag(alias.matrix), 1)
+        assert limits["air_drag"] is not None
+        assert limits["air_drag"] < DRAG
+        # A wind of 2 m/s² a priori hides a tilt of several degrees.
+        assert limits["gravity_tilt"] is None or limits["gravity_tilt"] > 5.0
+
+
+class TestSoftened:
+    def test_smooth_errors_of_the_stated_size_cost_what_is_stated(self) -> None:
+        shooting, _ = clip(WINDS[0], ())
+        tracked = replace(shooting.tracked, information=[np.eye(3 * 36, dtype=np.float32) * 1e12] * FRAMES)
+        error = ModelError(share=0.01, modes=9, frames=2.0)
+        soft = softened(tracked, 0.3, 25.0, 1.0, error)
+        moved = tracked.positions[3] + np.array([0.003, 0.0, 0.0])
+        assert soft.cost(3, moved) == pytest.approx(0.5 * 9 / 2, rel=0.01)
+        assert soft.cost(3, tracked.positions[3]) == 0.0
+
+    def test_what_images_do_not_see_stays_unseen(self) -> None:
+        shooting, _ = clip(WINDS[0], ())
+        seen = np.zeros((108, 108), np.float32)
+        seen[0, 0] = 1e4
+        tracked = replace(shooting.tracked, information=[seen] * FRAMES)
+        soft = softened(tracked, 0.3, 25.0, 0.5)
+        away = np.zeros((36, 3))
+        away[5] = 0.1
+        assert soft.cost(2, tracked.positions[2] + away) == pytest.approx(0.0, abs=1e-9)
+        away = np.zeros((36, 3))
+        away[0, 0] = 1e-3
+        assert 0 < soft.cost(2, tracked.positions[2] + away) < 0.5 * 0.5 * 1e4 * 1e-6
