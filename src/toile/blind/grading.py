@@ -88,7 +88,7 @@ def grade_set(
             expected=f"one for each of {len(blind.names())} scenes",
             got=str(len(commitments)),
         )
-    _spend(blind, digest)
+    spend(blind, digest)
     labels = {name: blind.open(key, name) for name in sorted(found)}
     marks = pd.DataFrame(
         [
@@ -166,7 +166,7 @@ def markdown(grade: Grade) -> str:
     )
 
 
-def _spend(blind: BlindSet, digest: str) -> None:
+def spend(blind: BlindSet, digest: str) -> None:
     """Note which predictions the labels are opened for, before they are; other ones are refused from then on.
 
     Sets for development, whose key comes from a seed, may be graded again and again.

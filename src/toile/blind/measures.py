@@ -122,16 +122,16 @@ def mark(
         Cells by column; NaN (or None) where a mark does not apply.
     """
     label = sealed.label
-    truth = _truth(label)
+    truth = truth_of(label)
     row: dict[str, Any] = {
         "scene": name,
         "generator": label.get("generator", "?"),
-        "kind": _kind(label),
+        "kind": kind_of(label),
         "truth": "+".join(truth),
         "level": "+".join(label.get("levels", [])),
         "true_stage": label["stage"],
         "gap_percent": float(label["magnitude"]["mean_last_third"]),
-        "size": _size(label),
+        "size": size_in_label(label),
     }
     if report is None:
         return row | {"answer": "no diagnosis", "stage_right": False, "top1": False, "set_right": False}
@@ -144,10 +144,10 @@ def mark(
     row |= {f"naive_{k}": v for k, v in _marks(naive, truth, label["stage_accept"]).items()}
     if row["kind"] == "single":
         row["identifiable"] = _is_identifiable(report, truth[0], alias)
-        row |= _magnitude(report, sealed, truth[0])
+        row |= magnitude(report, sealed, truth[0])
         row |= _shrink(report, verdict, truth[0])
         row["detection_limit"] = report.alias.detection_limits.get(truth[0])
-    row |= _localisation(report, sealed, folder)
+    row |= localisation(report, sealed, folder)
     return row
 
 
@@ -315,15 +315,17 @@ def detection(marks: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=columns)
 
 
-def _truth(label: Mapping[str, Any]) -> tuple[str, ...]:
+def truth_of(label: Mapping[str, Any]) -> tuple[str, ...]:
+    """Effects of a label; NONE where there is none."""
     names = label.get("effects")
     if names is None:
         names = [] if label["effect"] == NONE else [label["effect"]]
     return tuple(names) or (NONE,)
 
 
-def _kind(label: Mapping[str, Any]) -> str:
-    truth = _truth(label)
+def kind_of(label: Mapping[str, Any]) -> str:
+    """Whether a label is one of a "null", "outside" the catalogue, a "single" effect or a "pair"."""
+    truth = truth_of(label)
     if truth == (NONE,):
         return "null"
     if not label["in_catalogue"]:
@@ -331,11 +333,11 @@ def _kind(label: Mapping[str, Any]) -> str:
     return "single" if len(truth) == 1 else "pair"
 
 
-def _size(label: Mapping[str, Any]) -> float:
+def size_in_label(label: Mapping[str, Any]) -> float:
     """Of a single effect, in what its strength is named in, NaN where it is not; the gap otherwise."""
     alone = label["magnitude"].get("alone", {})
-    truth = _truth(label)
-    if _kind(label) == "single":
+    truth = truth_of(label)
+    if kind_of(label) == "single":
         return float(alone.get(truth[0], {}).get("value", math.nan))
     return float(label["magnitude"]["mean_last_third"])
 
@@ -374,7 +376,7 @@ def _is_identifiable(report: GapReport, truth: str, alias: float) -> bool:
     return all(set(group) == {truth} for group in plain.classes(alias) if truth in group)
 
 
-def _magnitude(report: GapReport, sealed: Sealed, truth: str) -> dict[str, Any]:
+def magnitude(report: GapReport, sealed: Sealed, truth: str) -> dict[str, Any]:
     """Relative error and coverage of the true effect's magnitude, where both sides have one."""
     effect = report.effect(truth)
     if effect is None:
@@ -426,7 +428,7 @@ def _shrink(report: GapReport, verdict: Verdict, truth: str) -> dict[str, Any]:
     return marks
 
 
-def _localisation(report: GapReport, sealed: Sealed, folder: Path) -> dict[str, Any]:
+def localisation(report: GapReport, sealed: Sealed, folder: Path) -> dict[str, Any]:
     """Marks of where and when, for effects that do not act everywhere and always."""
     marks: dict[str, Any] = {}
     where = sealed.label.get("localisation", {})

@@ -11,6 +11,7 @@ import hashlib
 import json
 import os
 import sys
+import time
 import traceback
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -21,10 +22,14 @@ from pathlib import Path
 from typing import Any
 
 from toile.atomic_file import write_text
+from toile.blind.answers import read_answer
 from toile.blind.sealing import KEY_SUFFIX, BlindSet, is_key_file
 from toile.diagnosis.record import DIAGNOSIS_FILE, GapReport
 from toile.errors import InputError
 from toile.json_file import parse_json_object
+
+SECONDS_FILE = "seconds.txt"
+"""Time that a diagnosis took, beside it."""
 
 Diagnose = Callable[[Path, Path, Any], None]
 """Writes diagnosis.json for a scene: ``diagnose(scene_folder, output_folder, settings)``."""
@@ -45,6 +50,13 @@ class Predictions:
     def diagnosis(self, name: str) -> Path:
         """diagnosis.json of one scene."""
         return self.folder / name / DIAGNOSIS_FILE
+
+    def seconds(self, name: str) -> float | None:
+        """Time that the diagnosis of one scene took [s], None where it is not known."""
+        try:
+            return float((self.folder / name / SECONDS_FILE).read_text())
+        except (OSError, ValueError):
+            return None
 
     def failure(self, name: str) -> Path:
         """Why a scene has none."""
@@ -96,7 +108,7 @@ def run_blind(
     check_sealed(blind)
     check_not_graded(blind, predictions)
     names = blind.names() if only is None else only
-    missing = [name for name in names if not (blind.scenes / name / "scene.json").is_file()]
+    missing = [name for name in names if not blind.is_there(name)]
     if missing:
         raise InputError(
             "The set is not complete",
@@ -160,7 +172,7 @@ def write_predictions(blind: BlindSet, predictions: Predictions, *, incomplete: 
                 expected="one of every scene; the same command makes what is missing",
                 got="see failure.txt" if predictions.failure(name).is_file() else "none",
             )
-        verdict = GapReport.read(path).to_json()["verdict"]
+        verdict = read_answer(path).report.to_json()["verdict"]
         entries[name] = {"verdict": verdict, "sha256": _hash_of(path.read_bytes())}
     text = json.dumps({"predictions": entries}, indent=1, sort_keys=True) + "\n"
     digest = _hash_of(text.encode())
@@ -198,7 +210,7 @@ def read_predictions(blind: BlindSet, predictions: Predictions) -> dict[str, Gap
         got = _hash_of(path.read_bytes()) if path.is_file() else "no file"
         if got != entry["sha256"]:
             raise _changed(path, entry["sha256"], got)
-        found[name] = GapReport.read(path)
+        found[name] = read_answer(path).report
     return found
 
 
@@ -287,8 +299,10 @@ def _diagnose_one(diagnose: Diagnose, scene: str, output: str, settings: Any) ->
     note = folder / "failure.txt"
     note.unlink(missing_ok=True)
     try:
+        begin = time.perf_counter()
         diagnose(Path(scene), folder, settings)
-        GapReport.read(folder / DIAGNOSIS_FILE)
+        read_answer(folder / DIAGNOSIS_FILE)
+        write_text(folder / SECONDS_FILE, f"{time.perf_counter() - begin:.1f}\n")
     except Exception as error:
         write_text(note, "".join(traceback.format_exception(error)))
         return f"{type(error).__name__}: {error}"
@@ -297,7 +311,7 @@ def _diagnose_one(diagnose: Diagnose, scene: str, output: str, settings: Any) ->
 
 def _is_answered(predictions: Predictions, name: str) -> bool:
     try:
-        GapReport.read(predictions.diagnosis(name))
+        read_answer(predictions.diagnosis(name))
     except InputError:
         return False
     return True

@@ -3,7 +3,8 @@
 A set is a folder::
 
     set.json                what everybody may know
-    scenes/<name>/          native layout without truth
+    scenes/<name>/          native layout without truth; of a session a folder of such, with session.yaml
+    extended/<name>/        sessions with the clip that their diagnosis has asked for
     sealed/<name>.sealed    label, nonce, true vertices, twin without the effect; encrypted
     commitments.json        sha256(label bytes + nonce bytes) per scene
     opened.json             hash of the predictions that were graded; from then on the set is spent
@@ -34,6 +35,7 @@ from toile.atomic_file import write_text, written_atomically
 from toile.errors import InputError
 from toile.former_names import GENERATORS, SET_KEYS, renamed
 from toile.json_file import read_json_object
+from toile.scenes.session import SESSION_FILE
 
 # Keys of set.json that anything depends on.
 _DESCRIBED = {"composition": str, "out_of_family": dict, "blind": bool, "key": str, "scenes": list}
@@ -160,9 +162,11 @@ class BlindSet:
 
     Attributes:
         folder: of the set.
+        part: folder within it that the scenes are in: sessions with one clip more have one of their own.
     """
 
     folder: Path
+    part: str = "scenes"
 
     @property
     def description(self) -> Path:
@@ -171,8 +175,8 @@ class BlindSet:
 
     @property
     def scenes(self) -> Path:
-        """Folder of the scenes."""
-        return self.folder / "scenes"
+        """Folder of the scenes or sessions."""
+        return self.folder / self.part
 
     @property
     def sealed(self) -> Path:
@@ -226,7 +230,11 @@ class BlindSet:
 
     def is_made(self, name: str) -> bool:
         """Whether scene and label are there."""
-        return (self.scenes / name / "scene.json").is_file() and self.sealed_file(name).is_file()
+        return self.is_there(name) and self.sealed_file(name).is_file()
+
+    def is_there(self, name: str) -> bool:
+        """Whether a scene or session is there."""
+        return any((self.scenes / name / file).is_file() for file in ("scene.json", SESSION_FILE))
 
     def seal(self, key: SealKey, name: str, sealed: Sealed) -> Path:
         """Write the sealed label of a scene; nothing of it is on disk in the clear at any time."""

@@ -1,10 +1,11 @@
-"""``toile blind make | run | grade``: a diagnosis checked on scenes whose labels it cannot read."""
+"""``toile blind make | run | extend | grade | train``: a diagnosis checked on labels it cannot read."""
 
 from __future__ import annotations
 
 import importlib
 import json
 import logging
+import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -19,8 +20,28 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from toile import __version__
 from toile.atomic_file import write_text
 from toile.blind.grading import grade_set, write_grade
-from toile.blind.run import Predictions, run_blind, write_predictions
+from toile.blind.run import (
+    Diagnose,
+    Predictions,
+    check_not_graded,
+    read_predictions,
+    run_blind,
+    write_predictions,
+)
 from toile.blind.sealing import BlindSet, Sealed, SealKey
+from toile.blind.session_grading import grade_sessions, write_session_grade
+from toile.cli.blind_sessions import (
+    COMPOSITIONS as SESSIONS,
+)
+from toile.cli.blind_sessions import (
+    EXTENDED,
+    FirstClipAlone,
+    clips_of,
+    extend_sessions,
+    make_one_session,
+    planned_sessions,
+)
+from toile.cli.blind_train import train
 from toile.cli.configuration import instantiate
 from toile.cli.failures import CommandError
 from toile.cli.terminal import print_path
@@ -37,6 +58,7 @@ from toile.generation.out_of_family.blind_set import (
 )
 from toile.generation.out_of_family.from_blender import can_make, make_with_blender, why_no_blender
 from toile.generation.out_of_family.making import SceneRequest, make_scene
+from toile.generation.out_of_family.session_set import PlannedSession
 from toile.scenes.registry import available_scenes
 
 _COMPOSITIONS: dict[str, Callable[[], Composition]] = {
@@ -49,11 +71,16 @@ _log = logging.getLogger(__name__)
 
 
 def run(cfg: DictConfig) -> None:
-    """Carry out one of the three actions, each in a process of its own."""
-    actions = {"make": _make, "run": _run, "grade": _grade}
+    """Carry out one of the actions, each in a process of its own."""
+    actions = {"make": _make, "run": _run, "extend": _extend, "grade": _grade}
     action = str(cfg.action)
+    if action == "train":
+        train(cfg.learned)
+        return
     if action not in actions:
-        raise InputError("No such action", where="toile blind", expected=", ".join(actions), got=action)
+        raise InputError(
+            "No such action", where="toile blind", expected=", ".join((*actions, "train")), got=action
+        )
     blind = BlindSet(Path(cfg.folder))
     key = Path(cfg.key).resolve()
     if key.is_relative_to(blind.folder.resolve().parent):
@@ -87,12 +114,7 @@ def make_one(
 def _make(cfg: DictConfig, blind: BlindSet) -> None:
     key = _key_of(cfg, blind)
     setup, notes = _out_of_family(cfg)
-    composition = _COMPOSITIONS.get(str(cfg.composition))
-    if composition is None:
-        raise InputError(
-            "No such composition", where="composition", expected=", ".join(_COMPOSITIONS), got=cfg.composition
-        )
-    scenes, more = _with_blender_where_possible(plan(composition(), key.derive), wanted=cfg.blender)
+    scenes, more = _planned(cfg, key)
     notes += more
     if cfg.first is not None:
         notes.append(f"the first {cfg.first} of {len(scenes)} scenes in the order of their names")
@@ -102,7 +124,12 @@ def _make(cfg: DictConfig, blind: BlindSet) -> None:
     small = min(setup.grid) < 16
     todo = [s for s in _part(cfg, scenes) if not blind.is_made(s.name)]
     with _progress("make", len(todo)) as advance:
-        tasks = [partial(make_one, scene, setup, blind, key, small=small) for scene in todo]
+        tasks = [
+            partial(make_one_session, scene, setup, blind, key)
+            if isinstance(scene, PlannedSession)
+            else partial(make_one, scene, setup, blind, key, small=small)
+            for scene in todo
+        ]
         for name in _parallel(tasks, int(cfg.jobs)):
             advance(str(name), None)
     if all(blind.is_made(name) for name in names):
@@ -115,16 +142,80 @@ def _make(cfg: DictConfig, blind: BlindSet) -> None:
         print_path(blind.folder, f": {left} of {len(names)} scenes are left to other parts")
 
 
+def _planned(
+    cfg: DictConfig, key: SealKey
+) -> tuple[tuple[PlannedScene, ...] | tuple[PlannedSession, ...], list[str]]:
+    """Scenes or sessions of the composition, and notes on engines that are not there."""
+    name = str(cfg.composition)
+    if name in SESSIONS:
+        return planned_sessions(cfg, key)
+    composition = _COMPOSITIONS.get(name)
+    if composition is None:
+        known = ", ".join((*_COMPOSITIONS, *SESSIONS))
+        raise InputError("No such composition", where="composition", expected=known, got=cfg.composition)
+    return _with_blender_where_possible(plan(composition(), key.derive), wanted=cfg.blender)
+
+
+def _extend(cfg: DictConfig, blind: BlindSet) -> None:
+    """Make the clips that the diagnoses of a set of sessions have asked for."""
+    _check_sessions(cfg, "extend")
+    predictions = _predictions(cfg)
+    check_not_graded(blind, predictions)
+    # Else a diagnosis could be exchanged for one that asks for another clip.
+    read_predictions(blind, predictions)
+    setup, _ = _out_of_family(cfg)
+    made, notes = extend_sessions(cfg, setup, blind, SealKey.read(Path(cfg.key)), predictions)
+    print_path(blind.folder / EXTENDED, f": {made} of {len(blind.names())} sessions with one clip more")
+    for note in notes:
+        print_path(note)
+
+
+def _check_sessions(cfg: DictConfig, what: str) -> None:
+    if str(cfg.composition) not in SESSIONS:
+        raise InputError(
+            "Only sessions have several clips",
+            where=what,
+            expected=f"set={' or set='.join(SESSIONS)}",
+            got=f"composition={cfg.composition}",
+        )
+
+
+def _predictions(cfg: DictConfig, *, one_clip: bool = False, extended: bool = False) -> Predictions:
+    """Where the answers go: those from one clip, or from one clip more, have folders of their own."""
+    suffix = "_one_clip" if one_clip else "_extended" if extended else ""
+    return Predictions(Path(f"{cfg.predictions}{suffix}"))
+
+
 def _run(cfg: DictConfig, blind: BlindSet) -> None:
-    predictions = Predictions(Path(cfg.predictions))
+    predictions = _predictions(cfg, one_clip=cfg.one_clip, extended=cfg.extended)
     names = tuple(sorted(blind.names()))
     part = _part(cfg, names)
     settings = instantiate(cfg.settings)
+    diagnose: Diagnose = _function(str(cfg.diagnose))
+    if cfg.one_clip or cfg.extended:
+        _check_sessions(cfg, "one_clip" if cfg.one_clip else "extended")
+    if cfg.one_clip and cfg.extended:
+        raise InputError(
+            "One clip, or one more", where="one_clip, extended", expected="one of them", got="both"
+        )
+    if cfg.one_clip:
+        diagnose = FirstClipAlone(diagnose)
+    if cfg.extended:
+        before = _predictions(cfg)
+        read_predictions(blind, before)
+        blind = replace(blind, part=EXTENDED)
+        # Where no other clip was asked for, the answer stays.
+        for name in names:
+            if not blind.is_there(name) and before.diagnosis(name).is_file():
+                shutil.copytree(before.folder / name, predictions.folder / name, dirs_exist_ok=True)
+        part = [name for name in part if blind.is_there(name)]
+    if cfg.max_sessions is not None:
+        part = [n for n in part if not predictions.diagnosis(n).is_file()][: int(cfg.max_sessions)]
     with _progress("run", len(part)) as advance:
         left = run_blind(
             blind,
             predictions,
-            _function(str(cfg.diagnose)),
+            diagnose,
             settings,
             jobs=int(cfg.jobs),
             only=tuple(part),
@@ -144,10 +235,28 @@ def _run(cfg: DictConfig, blind: BlindSet) -> None:
 
 
 def _grade(cfg: DictConfig, blind: BlindSet) -> None:
+    if str(cfg.composition) in SESSIONS:
+        _grade_sessions(cfg, blind)
+        return
     predictions = Predictions(Path(cfg.predictions))
     key = SealKey.read(Path(cfg.key))
     grade = grade_set(blind, predictions, key, alias=float(cfg.alias), resamplings=int(cfg.bootstrap), seed=0)
     for path in write_grade(grade, predictions.grade):
+        print_path(path)
+
+
+def _grade_sessions(cfg: DictConfig, blind: BlindSet) -> None:
+    """Mark what there is of: all clips, the first one alone, and all with the one that was asked for."""
+    clips = len(clips_of(cfg))
+    kinds = {
+        str(clips): _predictions(cfg),
+        "1": _predictions(cfg, one_clip=True),
+        f"{clips}+1": _predictions(cfg, extended=True),
+    }
+    there = {title: p for title, p in kinds.items() if title == str(clips) or p.list.is_file()}
+    grade = grade_sessions(blind, there, SealKey.read(Path(cfg.key)), resamplings=int(cfg.bootstrap), seed=0)
+    table = None if cfg.table is None else Path(cfg.table)
+    for path in write_session_grade(grade, kinds[str(clips)].grade, table):
         print_path(path)
 
 

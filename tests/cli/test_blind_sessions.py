@@ -1,0 +1,172 @@
+"""``toile blind`` on sessions with an injected diagnosis."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pandas as pd
+import pytest
+import yaml
+
+from toile.blind.sealing import BlindSet, SealKey
+from toile.scenes.native import load_native
+from toile.scenes.session import load_session
+
+FAKE = '''
+import json
+from pathlib import Path
+from toile.diagnosis.record import *
+from toile.scenes.session import load_session
+
+def oracle(session, out, settings):
+    """Names gusts, with as many candidates as there are clips too few; asks for a sway."""
+    clips = load_session(session).clips
+    assert all((clip.folder / "scene.json").is_file() for clip in clips)
+    (out / "clips.txt").write_text(" ".join(clip.motion for clip in clips))
+    effect = "gusts" if len(clips) > 1 else "ambiguous"
+    report = GapReport(
+        Verdict(effect, ("gusts", "air_drag", "none")[: 4 - len(clips)], "actuation", 0.9, "", ""),
+        Where({}, (), None), (), Alias(), Protocol(0, (0,), (), "test", "air_drag"),
+    ).to_json()
+    report["probabilities"] = {"gusts": 0.9, "none": 0.1}
+    report["verdict"]["next_recording"] = {"motion": "sway", "gain": 0.5}
+    (out / "diagnosis.json").write_text(json.dumps(report))
+'''
+
+SMALL = (
+    "set=sessions_tiny",
+    "out_of_family.grid=[6,6]",
+    "out_of_family.n_frames=6",
+    "out_of_family.image_side=40",
+    "out_of_family.texture_side=40",
+    "out_of_family.largest_grid_share=30",
+    "bootstrap=20",
+    "diagnose=fake_sessions.oracle",
+)
+NAME = "sessions_tiny"
+SET, PREDICTIONS, KEY = (
+    Path("outputs/blind") / NAME,
+    Path("outputs/blind_predictions") / NAME,
+    Path("outputs/blind_keys") / f"{NAME}.blindkey",
+)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A tiny set, made once."""
+    import os
+
+    from toile.cli.main import main
+
+    folder = tmp_path_factory.mktemp("made")
+    before = Path.cwd()
+    os.chdir(folder)
+    try:
+        assert main(("blind", "make", *SMALL)) == 0
+    finally:
+        os.chdir(before)
+    return folder
+
+
+@pytest.fixture
+def blind(toile, made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    shutil.copytree(made / "outputs", tmp_path / "outputs")
+    modules = tmp_path / "modules"
+    modules.mkdir()
+    (modules / "fake_sessions.py").write_text(FAKE)
+    monkeypatch.syspath_prepend(str(modules))
+
+    def call(action: str, *arguments: str):
+        return toile("blind", action, *SMALL, *arguments)
+
+    return call
+
+
+def test_the_set_tells_nothing(blind) -> None:
+    names = BlindSet(SET).names()
+    assert len(names) == 3
+    assert {p.name for p in SET.iterdir()} == {"set.json", "scenes", "sealed", "commitments.json"}
+    for name in names:
+        folder = SET / "scenes" / name
+        assert {p.name for p in folder.iterdir()} == {"session.yaml", "clip_0", "clip_1"}
+        session = load_session(folder)
+        assert [clip.motion for clip in session.clips] == ["release", "shake"]
+        assert load_native(session.clips[1].folder, crop_margin=None).ground_truth is None
+        assert len({p.stat().st_mtime for p in (folder, *folder.rglob("*"))}) == 1
+    text = "".join(p.read_text(errors="ignore") for p in SET.rglob("*.json"))
+    assert "gusts" not in text
+    assert "vortex" not in text
+    assert len({p.stat().st_size for p in (SET / "sealed").iterdir()}) == 1
+
+
+def test_labels_tell_of_every_clip(blind) -> None:
+    opened, key = BlindSet(SET), SealKey.read(KEY)
+    labels = [opened.open(key, name) for name in opened.names()]
+    assert {sealed.label["effect"] for sealed in labels} == {"none", "gusts", "vortex_field"}
+    for sealed in labels:
+        assert [clip["session"]["motion"] for clip in sealed.label["clips"]] == ["release", "shake"]
+        assert sealed.label["n_frames"] == [6, 6]
+        assert len(sealed.vertices) == 12
+
+
+def test_all_acts(blind) -> None:
+    """All clips, the first alone, one more as asked for; then the labels are opened once for all."""
+    assert blind("run", "max_sessions=1").status == 0
+    assert len(list(PREDICTIONS.glob("*/diagnosis.json"))) == 1
+    assert blind("run").status == 0
+    assert blind("run", "one_clip=true").status == 0
+    alone = Path(f"{PREDICTIONS}_one_clip")
+    assert {p.read_text() for p in alone.glob("*/clips.txt")} == {"release"}
+    status, out, err = blind("extend")
+    assert status == 0, err
+    assert "3 of 3 sessions" in out
+    assert blind("run", "extended=true").status == 0
+    extended = Path(f"{PREDICTIONS}_extended")
+    assert {p.read_text() for p in extended.glob("*/clips.txt")} == {"release shake sway"}
+    status, _, err = blind("grade", "table=outputs/table.csv")
+    assert status == 0, err
+    table = pd.read_csv("outputs/table.csv")
+    assert set(table["clips"].astype(str)) == {"2", "1", "2+1"}
+    at = table.set_index(["measure", "generator", "clips"])["value"]
+    named = "named rightly, all effects that move"
+    assert [at[(named, "toile", clips)] for clips in ("1", "2", "2+1")] == [0.0, 1.0, 1.0]
+    size = "90 % set: mean size"
+    assert [at[(size, "all", clips)] for clips in ("1", "2", "2+1")] == [3.0, 2.0, 1.0]
+    assert at[("false alarms on nulls", "all", "2")] == 1.0
+    assert "Confusion" in (PREDICTIONS / "grade" / "grade.md").read_text()
+    # Spent, whatever was answered from.
+    assert blind("run", "one_clip=true").status == 2
+    assert blind("extend").status == 2
+    assert blind("grade").status == 0
+
+
+def test_extending_keeps_what_it_has_made(blind) -> None:
+    assert blind("run").status == 0
+    assert blind("extend").status == 0
+    file = next((SET / "extended").glob("*/session.yaml"))
+    clips = yaml.safe_load(file.read_text())["clips"]
+    assert [clip["motion"] for clip in clips] == ["release", "shake", "sway"]
+    assert Path(clips[2]["scene"]).name == "clip_next"
+    before = {p: p.read_bytes() for p in (SET / "extended").rglob("*") if p.is_file()}
+    assert blind("extend").status == 0
+    assert before == {p: p.read_bytes() for p in (SET / "extended").rglob("*") if p.is_file()}
+
+
+def test_another_answer_after_extending_is_refused(blind) -> None:
+    assert blind("run").status == 0
+    path = next(PREDICTIONS.glob("*/diagnosis.json"))
+    path.write_text(json.dumps({**json.loads(path.read_text()), "warnings": ["changed"]}))
+    status, _, err = blind("extend")
+    assert status == 2
+    assert "changed" in err
+
+
+def test_mistakes(blind) -> None:
+    assert blind("make", "clips=[wave]").status == 2
+    assert blind("make", "clips=[]").status == 2
+    assert blind("run", "one_clip=true", "extended=true").status == 2
+    status, _, err = blind("run", "composition=tiny", "one_clip=true")
+    assert status == 2
+    assert "several clips" in err

@@ -1,0 +1,192 @@
+"""Marks of sessions: classes, sets, probabilities, sizes."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from toile.blind.answers import LOSS_DROP, read_answer
+from toile.blind.sealing import Sealed
+from toile.blind.session_measures import (
+    by_size,
+    calibration_error,
+    mark_session,
+    measured_sessions,
+    reliability,
+    wilson,
+)
+from toile.diagnosis.record import Alias, EffectReport, Estimate, GapReport, Protocol, Verdict, Where
+from toile.errors import InputError
+
+FRAMES = (4, 4)
+
+
+def answered(folder: Path, effect: str, probability: float = 0.8, **added: Any) -> Path:
+    """diagnosis.json with what a session adds."""
+    drag = EffectReport("air_drag", "mechanics", 0.1, {"c": Estimate(2.0, 1.0, 3.0, "1/s")})
+    report = GapReport(
+        Verdict(effect, (effect, "air_drag"), "mechanics", probability, "", ""),
+        Where({"mechanics": 1.0}, (3.0, 0.0, 3.0, 0.0, 3.0, 3.0, 0.0, 0.0), None),
+        (drag,),
+        Alias(("air_drag",), ((1.0,),), {"air_drag": 0.5}),
+        Protocol(0, (0,), (), "test", "gusts"),
+    )
+    path = folder / "diagnosis.json"
+    values = report.to_json()
+    if "next_recording" in added:
+        values["verdict"]["next_recording"] = added.pop("next_recording")
+    path.write_text(json.dumps({**values, **added}))
+    return path
+
+
+def sealed(*effects: str, percent: float = 3.0, outside: bool = False) -> Sealed:
+    label = {
+        "effect": "+".join(effects) or "none",
+        "effects": list(effects),
+        "levels": [f"{percent:g} %"] * len(effects),
+        "stage": "mechanics",
+        "stage_accept": ["mechanics"],
+        "in_catalogue": not outside,
+        "magnitude": {
+            "mean_last_third": percent if effects else 0.0,
+            "alone": {e: {"value": percent} for e in effects},
+        },
+        "localisation": {"vertices": None, "frames": [0, 2]},
+        "generator": "toile",
+        "n_frames": list(FRAMES),
+        "clips": [
+            {"localisation": {"vertices": None, "frames": [0, 2]}},
+            {"localisation": {"vertices": None, "frames": [0, 1]}},
+        ],
+    }
+    motion = np.zeros((sum(FRAMES), 3, 3, 3), np.float32)
+    return Sealed(label, motion, motion)
+
+
+def marks(folder: Path, truth: Sealed, effect: str, **added: Any) -> dict[str, Any]:
+    path = answered(folder, effect, **added)
+    return mark_session("s", truth, read_answer(path), folder, 60.0)
+
+
+def test_the_effect_itself_is_right(tmp_path: Path) -> None:
+    found = marks(tmp_path, sealed("air_drag"), "air_drag")
+    assert found["right"]
+    assert found["set_right"]
+    assert found["relative_size"] == pytest.approx(4.0)
+    assert found["frames_f1"] == 1.0  # of both clips in a row
+    assert found[f"right [{LOSS_DROP}]"] is False
+
+
+def test_a_declared_class_is_one_answer(tmp_path: Path) -> None:
+    classes = {"equivalence_classes": [["gravity_tilt", "wind"]], "class": ["gravity_tilt", "wind"]}
+    truth = sealed("gravity_tilt")
+    assert not marks(tmp_path, truth, "wind")["right"]
+    assert marks(tmp_path, truth, "wind", **classes)["right"]
+    ambiguous = marks(tmp_path, truth, "ambiguous", set=["wind", "gravity_tilt", "air_drag"], **classes)
+    assert ambiguous["right"]
+    assert ambiguous["set_right"]
+    assert ambiguous["set_size"] == 2.0
+    assert not ambiguous["abstains"]
+
+
+def test_a_class_that_was_not_declared_is_none(tmp_path: Path) -> None:
+    everything = {"class": ["air_drag", "gusts", "gravity_tilt"]}
+    assert not marks(tmp_path, sealed("gusts"), "air_drag", **everything)["right"]
+    assert not marks(tmp_path, sealed("gusts"), "ambiguous", **everything)["right"]
+
+
+def test_nulls(tmp_path: Path) -> None:
+    assert marks(tmp_path, sealed(), "none")["false_alarm"] is False
+    assert marks(tmp_path, sealed(), "unknown")["false_alarm"] is True
+    assert marks(tmp_path, sealed(), "air_drag")["false_alarm"] is True
+    classes = {"equivalence_classes": [["none", "air_drag"]], "class": ["none", "air_drag"]}
+    assert not marks(tmp_path, sealed(), "air_drag", **classes)["right"]  # nothing is no effect
+
+
+def test_outside_and_pairs(tmp_path: Path) -> None:
+    assert marks(tmp_path, sealed("vortex_field", outside=True), "unknown")["abstains"]
+    sure = marks(tmp_path, sealed("vortex_field", outside=True), "gusts", probability=0.95)
+    assert sure["confidently_wrong"]
+    assert marks(tmp_path, sealed("gusts", "shading"), "shading")["pair_right"]
+    assert not marks(tmp_path, sealed("gusts", "shading"), "air_drag")["pair_right"]
+
+
+def test_stated_probabilities_add_up_over_a_class(tmp_path: Path) -> None:
+    found = marks(
+        tmp_path,
+        sealed("gravity_tilt"),
+        "wind",
+        probabilities={"gravity_tilt": 0.3, "wind": 0.35, "air_drag": 0.35},
+        equivalence_classes=[["gravity_tilt", "wind"]],
+    )
+    assert found["stated"] == pytest.approx(0.65)
+    assert found["stated_right"]
+
+
+def test_baselines_and_the_next_recording(tmp_path: Path) -> None:
+    path = answered(
+        tmp_path,
+        "none",
+        baselines={"method of single clips": {"effect": "air_drag"}},
+        next_recording={"motion": "sway", "gain": 0.4},
+    )
+    answer = read_answer(path)
+    assert answer.next_motion == "sway"
+    assert answer.baselines == {"method of single clips": "air_drag", LOSS_DROP: "gusts"}
+    path.write_text(path.read_text().replace('"baselines": {', '"baselines": {"other": {}, '))
+    with pytest.raises(InputError, match="understood"):
+        read_answer(path)
+
+
+def test_no_answer_is_wrong() -> None:
+    assert mark_session("s", sealed("gusts"), None, Path(), None)["right"] is False
+
+
+def test_calibration_error() -> None:
+    rng = np.random.default_rng(0)
+    stated = rng.uniform(0, 1, 20000)
+    right = (rng.uniform(0, 1, 20000) < stated).astype(float)
+    assert calibration_error(stated, right) < 0.015
+    assert calibration_error(np.full(10, 0.9), np.zeros(10)) == pytest.approx(0.9)
+
+
+def table(tmp_path: Path) -> pd.DataFrame:
+    rows = []
+    for clips, names in (("3", ("air_drag", "none", "unknown")), ("1", ("none", "air_drag", "gusts"))):
+        truths = (sealed("air_drag"), sealed(), sealed("vortex_field", outside=True))
+        for truth, effect in zip(truths, names, strict=True):
+            rows.append({"clips": clips, **marks(tmp_path, truth, effect)})
+    return pd.DataFrame(rows)
+
+
+def test_the_table_of_measures(tmp_path: Path) -> None:
+    rows = table(tmp_path)
+    found = measured_sessions(rows, resamplings=50, seed=0)
+    assert list(found.columns) == ["measure", "generator", "clips", "value", "low", "high", "scenes"]
+    at = found.set_index(["measure", "generator", "clips"])
+    named = "named rightly, effects of 3 % and more"
+    assert at.loc[(named, "all", "3"), "value"] == 1.0
+    assert at.loc[(named, "toile", "1"), "value"] == 0.0
+    assert at.loc[(f"{named} [{LOSS_DROP}]", "all", "3"), "value"] == 0.0
+    assert at.loc[("false alarms on nulls", "all", "1"), "value"] == 1.0
+    assert (at.loc[(named, "all", "3"), "low"], 1.0) == pytest.approx(wilson(1, 1))
+    assert at.loc[("time, median [s]", "all", "3"), "value"] == 60.0
+    again = measured_sessions(rows, resamplings=50, seed=0)
+    pd.testing.assert_frame_equal(found, again)
+
+
+def test_curves(tmp_path: Path) -> None:
+    rows = table(tmp_path)
+    curve = by_size(rows).set_index(["clips", "generator", "by", "low_edge"])
+    assert curve.loc[("3", "all", "asked", 2.0), "value"] == 1.0
+    assert curve.loc[("3", "all", "detection limit", 4.0), "scenes"] == 1
+    assert math.isnan(curve.loc[("3", "all", "gap", 6.0), "value"])
+    diagram = reliability(rows)
+    assert set(diagram["clips"]) == {"1", "3"}
+    assert int(diagram["scenes"].sum()) == 6
