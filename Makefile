@@ -92,6 +92,10 @@ stability: setup ## Fits 40 times longer than usual (SCENE=R1: half a day)
 base-law: setup ## Measure how far base laws miss cloth of an independent engine
 	$(BIN)/python benchmarks/base_law.py --side 16 --output docs/results/base_law.md
 
+.PHONY: session-ladder
+session-ladder: setup ## Where a diagnosis of several clips loses what they know (hours): docs/results/session_ladder.md; resumes
+	$(BIN)/python benchmarks/session_ladder.py
+
 .PHONY: robustness
 robustness: setup ## Give every command bad input: docs/robustness.md; resumes
 	$(BIN)/python benchmarks/robustness.py
@@ -141,6 +145,18 @@ blind: setup ## Make scenes with sealed labels, diagnose them, open the labels: 
 	$(BIN)/toile blind run $(BLIND_SET)
 	$(BIN)/toile blind grade $(BLIND_SET)
 	$(if $(filter standard,$(BLIND)),$(BIN)/python benchmarks/blind_results.py $(BLIND_NAME))
+
+SESSIONS ?= sessions
+SESSIONS_TABLE = $(if $(filter sessions,$(SESSIONS)),table=docs/results/blind_sessions.csv)
+
+.PHONY: blind-sessions
+blind-sessions: setup ## The same with sessions of several clips: three clips, one alone, one more as asked for; resumes
+	$(BIN)/toile blind make set=$(SESSIONS) jobs=$(JOBS)
+	$(BIN)/toile blind run set=$(SESSIONS) jobs=$(JOBS)
+	$(BIN)/toile blind run set=$(SESSIONS) jobs=$(JOBS) one_clip=true
+	$(BIN)/toile blind extend set=$(SESSIONS)
+	$(BIN)/toile blind run set=$(SESSIONS) jobs=$(JOBS) extended=true
+	$(BIN)/toile blind grade set=$(SESSIONS) $(SESSIONS_TABLE)
 
 .PHONY: blind-results
 blind-results: setup ## Put a graded set (BLIND_NAME) into the documents: docs/results/blind_standard.md

@@ -78,6 +78,12 @@ def test_files(tmp_path: Path) -> None:
     assert candidates(["blind", "gr"]) == ["grade"]
 
 
+def test_another_name_of_a_setting() -> None:
+    assert "set=" in candidates(["blind", "make", "se"])
+    assert candidates(["blind", "make", "set=sess"]) == ["set=sessions", "set=sessions_tiny"]
+    assert "diagnosis=" in candidates(["record", "diag"])
+
+
 def test_flags() -> None:
     assert candidates(["fit", "--cf"]) == ["--cfg"]
     assert candidates(["fit", "--cfg", ""]) == ["all", "hydra", "job"]

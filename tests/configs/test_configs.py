@@ -20,7 +20,16 @@ from toile.generation.presets import SHAKEN, STANDARD, SWUNG
 HYDRAS_OWN = {"_target_", "_partial_", "_convert_", "_recursive_"}
 PLAIN = (str, int, float, bool, tuple)
 # Groups and options whose point is to differ from the defaults.
-DELTAS = ("ablation", "preset", "experiment", "debug", "diagnosis=quick", "diagnosis=fine", "blind=tiny")
+DELTAS = (
+    "ablation",
+    "preset",
+    "experiment",
+    "debug",
+    "diagnosis=quick",
+    "diagnosis=fine",
+    "blind=tiny",
+    "blind=sessions",
+)
 OPTIONS = sorted(
     f"{path.parent.relative_to(CONF).as_posix()}={path.stem}"
     for path in CONF.rglob("*.yaml")

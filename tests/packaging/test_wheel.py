@@ -47,7 +47,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_every_file_is_in_the_wheel(wheel: Path) -> None:
     inside = set(zipfile.ZipFile(wheel).namelist())
     source = REPOSITORY / "src"
-    kinds = ("*.py", "*.typed", "*.pt", "*.css", "*.js", "*.csv", "*.json")
+    kinds = ("*.py", "*.typed", "*.pt", "*.css", "*.js", "*.csv", "*.json", "*.npz")
     modules = {p.relative_to(source).as_posix() for kind in kinds for p in (source / "toile").rglob(kind)}
     settings = {
         f"toile/{p.relative_to(REPOSITORY).as_posix()}" for p in (REPOSITORY / "conf").rglob("*.yaml")

@@ -14,6 +14,7 @@ class Command(NamedTuple):
         example: a call to learn from.
         plain: setting that arguments without "=" are for, "" where there are none.
         words: what such an argument may be, if it is no path.
+        aliases: pairs of another name of a setting or group, and its name.
     """
 
     module: str
@@ -21,6 +22,7 @@ class Command(NamedTuple):
     example: str
     plain: str = ""
     words: tuple[str, ...] = ()
+    aliases: tuple[tuple[str, str], ...] = ()
 
 
 COMMANDS = {
@@ -67,9 +69,17 @@ COMMANDS = {
     "blind": Command(
         "toile.cli.blind",
         "check the diagnosis on scenes whose labels it cannot read",
-        "make | run | grade blind=tiny",
+        "make | run | extend | grade | train set=sessions_tiny",
         plain="action",
-        words=("make", "run", "grade"),
+        words=("make", "run", "extend", "grade", "train"),
+        aliases=(("set", "blind"),),
+    ),
+    "record": Command(
+        "toile.cli.record",
+        "print what to film for a session, or which recording a diagnosis asks for next",
+        "diagnosis=<run folder>",
+        plain="run",
+        aliases=(("diagnosis", "run"),),
     ),
     "doctor": Command("toile.cli.doctor", "look for what is wrong with a scene", "scene=R1"),
 }

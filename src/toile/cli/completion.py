@@ -124,6 +124,11 @@ def candidates(words: Sequence[str]) -> list[str]:
 def _values(command: str, before: Sequence[str], word: str) -> Iterator[str]:
     """``key=value`` for the key in ``word``: choices, scenes, true and false, the value it has, files."""
     key, _, value = word.partition("=")
+    real = dict(COMMANDS[command].aliases).get(key)
+    if real is not None:
+        found = _values(command, before, f"{real}={value}")
+        yield from (key + candidate.removeprefix(real) for candidate in found)
+        return
     name = key.lstrip("+~").partition("@")[0]
     from toile.cli.configuration import CONF
     from toile.cli.groups import group_choices
@@ -158,6 +163,7 @@ def _keys(command: str, before: Sequence[str], word: str) -> Iterator[str]:
             yield f"{sign}{parent}{dot}{key}{'.' if _children(value) else '='}"
     if command in _RESUMABLE:
         yield "resume="
+    yield from (f"{alias}=" for alias, _ in COMMANDS[command].aliases)
     yield from COMMANDS[command].words
     if COMMANDS[command].plain == "run":
         yield from _files(word)

@@ -81,6 +81,29 @@ def name_scenes(arguments: Sequence[str]) -> list[str]:
     return result
 
 
+def name_sessions(arguments: Sequence[str]) -> list[str]:
+    """Let ``session=`` name a scene as well where none is named: run folders are called after it."""
+    pairs = [argument.partition("=") for argument in arguments]
+    named = [value for key, _, value in pairs if key == "session" and value not in ("", "null")]
+    if not named or any(key in ("scene", "scene.name") for key, _, _ in pairs):
+        return list(arguments)
+    path = parsed(named[0]) if _HYDRA_SYNTAX.search(named[0]) else None
+    text = path.text if isinstance(path, QuotedString) else named[0]
+    return [*arguments, f"scene.name={quoted(str(Path(text).expanduser().resolve()))}"]
+
+
+def renamed_arguments(arguments: Sequence[str], aliases: Sequence[tuple[str, str]]) -> list[str]:
+    """Arguments with the names that settings and groups really have: ``set=a`` becomes ``blind=a``.
+
+    Args:
+        arguments: of the command line.
+        aliases: pairs of the other name and the real one.
+    """
+    names = dict(aliases)
+    pairs = [argument.partition("=") for argument in arguments]
+    return [names.get(name, name) + equals + value if equals else name for name, equals, value in pairs]
+
+
 def name_plain_arguments(arguments: Sequence[str], setting: str) -> list[str]:
     """Let arguments without "=" stand for a setting: ``a b`` becomes ``run=['a','b']``, ``a`` ``run='a'``.
 

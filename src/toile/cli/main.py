@@ -77,7 +77,14 @@ def _dispatch(given: Sequence[str]) -> int:
 def _run(name: str, arguments: Sequence[str]) -> int:
     import hydra
 
-    from toile.cli.configuration import CONF, flags_first, name_plain_arguments, name_scenes
+    from toile.cli.configuration import (
+        CONF,
+        flags_first,
+        name_plain_arguments,
+        name_scenes,
+        name_sessions,
+        renamed_arguments,
+    )
     from toile.cli.failures import FULL_ERROR_VARIABLE, CommandError
     from toile.cli.path_arguments import quote_paths
     from toile.cli.sweep import print_summary
@@ -90,8 +97,9 @@ def _run(name: str, arguments: Sequence[str]) -> int:
                 from toile.cli.resume import resume_arguments
 
                 arguments = resume_arguments(arguments, RESUMABLE[name])
+            arguments = renamed_arguments(arguments, COMMANDS[name].aliases)
             arguments = quote_paths(name_plain_arguments(arguments, COMMANDS[name].plain))
-            argv += flags_first(name_scenes(arguments))
+            argv += flags_first(name_sessions(name_scenes(arguments)))
             if {"-h", "--help"} & set(argv):
                 from toile.cli.shown import help_text
 

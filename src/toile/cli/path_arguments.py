@@ -29,6 +29,7 @@ _PATHS = {
     "output",
     "predictions",
     "run",
+    "session",
     "still",
     "video",
     "weights",
