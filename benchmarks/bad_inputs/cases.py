@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bad_inputs import commands, own_video, paths, runs, scene_files, settings
+from bad_inputs import commands, own_video, paths, runs, scene_files, sessions, settings
 from bad_inputs.case import Case
 
 CASES: tuple[Case, ...] = (
@@ -11,5 +11,6 @@ CASES: tuple[Case, ...] = (
     *runs.CASES,
     *own_video.CASES,
     *commands.CASES,
+    *sessions.CASES,
     *paths.CASES,
 )

@@ -408,3 +408,11 @@ def test_clips_on_other_grids_are_refused(two_clips: Path, tmp_path: Path) -> No
     (folder / "session.yaml").write_text(f"clips:\n- scene: {two_clips / 'first'}\n- scene: {other}\n")
     with pytest.raises(InputError, match="grid"):
         diagnose_session_folder(folder, tmp_path / "out", SMALL)
+
+
+@pytest.mark.parametrize("extra", [("diagnosis.held_out=0.4",), ("scene=anything",)])
+def test_a_session_refuses_what_it_would_ignore(
+    extra: tuple[str, ...], two_clips: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match=r"session"):
+        diagnose_session_folder(two_clips, tmp_path / "out", (*SMALL, *extra))

@@ -301,6 +301,20 @@ def session_problem(cfg: DictConfig) -> SessionProblem:
     Raises:
         InputError: the session, a scene or a setting is of no use.
     """
+    if not OmegaConf.is_missing(cfg.scene, "name"):
+        raise InputError(
+            "Either a scene or a session is diagnosed",
+            where="command line",
+            expected="scene=<name or folder> or session=<folder>",
+            got=f"scene={cfg.scene.name} and session={cfg.session}",
+        )
+    if cfg.diagnosis.held_out not in (0, DiagnosisSettings().held_out):
+        raise InputError(
+            "A session holds out a whole clip, no share of the frames",
+            where="diagnosis.held_out",
+            expected="no value, or 0",
+            got=str(cfg.diagnosis.held_out),
+        )
     session = load_session(str(cfg.session))
     clips = []
     for clip in session.clips:
