@@ -27,7 +27,7 @@ class RefiningSettings:
         force: deviation of each mode of the free force [m/s²].
     """
 
-    rounds: CountOrZero = 2
+    rounds: CountOrZero = 3
     passes: Count = 10
     force: Annotated[Positive, Unit("m/s²")] = 0.3
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from toile.diagnosis.continuity import Discrepancy
 from toile.diagnosis.damping import Damping
+from toile.diagnosis.denormals import denormals_flushed
 from toile.diagnosis.force_modes import TOLERANCE, external_first, n_balanced
 from toile.diagnosis.sensitivities import KnownMotion, LoadSensitivities, StepForces, TangentSettings
 from toile.diagnosis.template_tension import RIDGE, TemplateTension
@@ -430,6 +431,7 @@ class Shooting:
             (self._to_modes @ positions / s.jump_position, self._to_modes @ velocities / s.jump_velocity)
         )
 
+    @denormals_flushed()
     def normal(
         self,
         window: WindowMotion,
