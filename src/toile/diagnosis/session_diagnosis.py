@@ -125,11 +125,11 @@ def diagnose_session(
     motion = pipeline.run(refining, *(clip.tracked for clip in clips))
     model = SessionModel(clips, motion, together, settings.stiffness)
     stages = HypothesisStages(model, progress, made_from, workers)
-    base = pipeline.run(stages.fit((), 0.5), motion)
+    base = pipeline.run(stages.base(0.5), motion)
     fits = {}
     for k, effect in enumerate(moving):
         share = 0.5 + 0.4 * (k + 1) / (len(moving) + 1)
-        fits[effect.NAME] = pipeline.run(stages.fit((effect,), share), motion)
+        fits[effect.NAME] = pipeline.run(stages.fit((effect,), share), motion, base)
 
     progress("what the clips say together", 0.92)
     calibration = Calibration.load(None if settings.calibration is None else Path(settings.calibration))

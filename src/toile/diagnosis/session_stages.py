@@ -217,18 +217,35 @@ class HypothesisStages:
     made_from: dict[str, str]
     workers: Workers = ALONE
 
-    def fit(self, effects: Sequence[Effect], share: float) -> PipelineStage[RefinedMotion, JointFit]:
-        """The fit of a hypothesis to all clips.
+    def base(self, share: float) -> PipelineStage[RefinedMotion, JointFit]:
+        """The fit of the base model to all clips.
 
         Args:
-            effects: of it; () for the base model.
             share: of all work that is done when it begins.
         """
-        names = "+".join(effect.NAME for effect in effects) or "base"
         fitting = self.model.fitting
 
         def compute(motion: RefinedMotion) -> JointFit:
-            return fitting.fitted(effects, fitting.start_fit(self.workers), self.workers)
+            return fitting.fitted((), fitting.start_fit(self.workers), self.workers)
+
+        return PipelineStage(
+            "fit of base", "fits/base.npz", "fit of base", share, JointFit, compute, self.made_from
+        )
+
+    def fit(
+        self, effects: Sequence[Effect], share: float
+    ) -> PipelineStage[RefinedMotion, JointFit, JointFit]:
+        """The fit of a hypothesis to all clips, from where the base model has ended: it cannot be worse.
+
+        Args:
+            effects: of it, at least one.
+            share: of all work that is done when it begins.
+        """
+        names = "+".join(effect.NAME for effect in effects)
+        fitting = self.model.fitting
+
+        def compute(motion: RefinedMotion, base: JointFit) -> JointFit:
+            return fitting.fitted(effects, base, self.workers)
 
         made_from = {**self.made_from, "effects": fingerprint(tuple(effects))}
         return PipelineStage(
