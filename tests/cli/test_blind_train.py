@@ -7,8 +7,8 @@ from pathlib import Path
 from toile.diagnosis.learned.decision import LearnedDecision
 
 SMALL = (
-    "learned.set.clips=30",
-    "learned.set.sessions=14",
+    "learned.set.clips=24",
+    "learned.set.sessions=8",
     "learned.trees.iterations=3",
     "learned.trees.least=2",
 )

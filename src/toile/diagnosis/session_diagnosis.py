@@ -37,7 +37,6 @@ from toile.diagnosis.record import (
 )
 from toile.diagnosis.results import KINDS
 from toile.diagnosis.session_alias import session_alias
-from toile.diagnosis.session_evidence import DEFAULT as WEIGHING
 from toile.diagnosis.session_evidence import SessionEvidence, session_evidence
 from toile.diagnosis.session_settings import SessionSettings
 from toile.diagnosis.session_stages import (
@@ -48,6 +47,7 @@ from toile.diagnosis.session_stages import (
     refining_stage,
     seen_clips,
 )
+from toile.diagnosis.session_weights import SessionWeights
 from toile.diagnosis.settings import DiagnosisSettings
 from toile.diagnosis.stage_store import StageStore
 from toile.diagnosis.stage_times import TIMES_FILE, StageTimes
@@ -77,6 +77,7 @@ class _Found:
     base: JointFit
     fits: dict[str, JointFit]
     evidence: SessionEvidence
+    weights: SessionWeights
     alias: Alias
     left_out: LeftOut
 
@@ -135,9 +136,9 @@ def diagnose_session(
     calibration = Calibration.load(None if settings.calibration is None else Path(settings.calibration))
     duration = sum((clip.n_frames - 1) / clip.problem.scene.fps for clip in clips)
     of_images = [clip.seen.findings for clip in clips]
-    learned = _learned(clips, motion)
-    evidence = session_evidence(base, fits, effects, of_images, duration, calibration, learned)
-    alias = session_alias(model.fitting, base, moving, WEIGHING.threshold, max(1.0, evidence.left), workers)
+    learned, weights = learned_chances(clips, motion), SessionWeights.load()
+    evidence = session_evidence(base, fits, effects, of_images, duration, calibration, learned, weights)
+    alias = session_alias(model.fitting, base, moving, weights.threshold, max(1.0, evidence.left), workers)
     progress("prediction of the clip that is left out", 0.95)
     ahead = max(2, round(together.ahead * problems[-1].scene.fps / 25))
     best = [name for name in evidence.chances if name in fits][: together.refined]
@@ -152,11 +153,11 @@ def diagnose_session(
         together.seed,
     )
     progress("answer", 0.99)
-    found = _Found(clips, model, base, fits, evidence, alias, left_out)
+    found = _Found(clips, model, base, fits, evidence, weights, alias, left_out)
     return _report(found, effects, settings, together, calibration, session, folder)
 
 
-def _learned(clips: Sequence[SeenClip], motion: RefinedMotion) -> dict[str, float] | None:
+def learned_chances(clips: Sequence[SeenClip], motion: RefinedMotion) -> dict[str, float] | None:
     """Probabilities of the learned decision; None without weights, or for clips shorter than its own."""
     if not WEIGHTS.is_file() or min(clip.n_frames for clip in clips) < _FEWEST:
         return None
@@ -193,7 +194,7 @@ def _report(
         image_evidence,
         calibration,
         found.left_out.shrinks,
-        explained=evidence.left <= WEIGHING.strange,
+        explained=evidence.left <= found.weights.strange,
         settings=settings.verdict,
     )
     verdict = _of_class(verdict, evidence.chances, classes, settings)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,38 +12,10 @@ from scipy.special import softmax
 from toile.diagnosis.decision import NONE, UNKNOWN, Calibration
 from toile.diagnosis.findings import Finding, finding
 from toile.diagnosis.joint_fit import JointFit
+from toile.diagnosis.session_weights import MotionEvidence, SessionWeights
 from toile.effects.base import Effect, Scope
 
 Array = NDArray[np.float64]
-
-_LEAST = 1e-4
-"""Probability of the learned decision that says no more, and share of the usual misfit that does."""
-
-
-@dataclass(frozen=True)
-class SessionWeights:
-    """How evidence of the motion becomes a probability.
-
-    Attributes:
-        usual: misfit that a right model leaves, per frame at 25 frames a second [nats].
-        threshold: evidence at which an effect and none are equally probable [nats].
-        temperature: evidence by which the odds of an effect grow e-fold [nats].
-        strange: how many times the usual misfit the best hypothesis leaves where something unknown and none
-            are equally probable.
-        strangeness: e-folds of the odds of something unknown for each logarithm beyond that.
-        learned: weight of the learned decision's log odds among effects.
-    """
-
-    usual: float = 3.0
-    threshold: float = 12.0
-    temperature: float = 5.0
-    strange: float = 4.0
-    strangeness: float = 4.0
-    learned: float = 1.0
-
-
-DEFAULT = SessionWeights()
-
 
 @dataclass(frozen=True)
 class SessionEvidence:
@@ -70,7 +42,7 @@ def session_evidence(
     duration: float,
     calibration: Calibration,
     learned: Mapping[str, float] | None,
-    weights: SessionWeights = DEFAULT,
+    weights: SessionWeights,
 ) -> SessionEvidence:
     """Put together what motion and images of all clips say.
 
@@ -85,42 +57,26 @@ def session_evidence(
         weights: see SessionWeights.
     """
     by_name = {effect.NAME: effect for effect in effects}
-    usual = weights.usual * duration * 25
-    # Below zero where the tracked motion, at which the image term is zero, is not its minimum.
-    best = max(min([base.misfit, *(fit.misfit for fit in fits.values())]), _LEAST * usual)
-    # What even the best hypothesis is wrong by is no noise of the size that was thought.
-    scale = max(1.0, best / usual)
+    drops = {name: base.misfit - fit.misfit for name, fit in fits.items()}
+    occams = {name: fit.occam for name, fit in fits.items()}
+    motion = MotionEvidence(base.misfit, drops, occams, duration, learned)
+    left = motion.left(weights)
+    scale = max(1.0, left)
     findings = {
         name: _of_images(by_name[name], name, of_images) for name in (of_images[0] if of_images else {})
     }
-    drops, logits = {}, {NONE: 0.0}
-    for name, fit in fits.items():
-        drops[name] = base.misfit - fit.misfit
-        n = len(by_name[name].scales)
-        nats = drops[name] / scale - fit.occam
-        findings[name] = finding(by_name[name], nats, fit.coefficients[:n], scale * fit.covariance[:n, :n])
+    logits = {NONE: 0.0}
     for name, found in findings.items():
-        if name in fits:
-            logits[name] = (found.log_evidence - weights.threshold) / weights.temperature
-            logits[name] += weights.learned * _log_odds(learned, name, fits)
-        else:
+        if name not in fits:
             score = calibration.score(name, found.log_evidence)
             logits[name] = (score - calibration.threshold) / calibration.temperature
-    strange = weights.strangeness * np.log(best / (weights.strange * usual))
-    logits[UNKNOWN] = float(strange)
-    return SessionEvidence(findings, drops, _chances(logits), best / usual)
-
-
-def _log_odds(learned: Mapping[str, float] | None, name: str, effects: Collection[str]) -> float:
-    """Of an effect against the mean of those in question; 0 for what the learned decision does not know.
-
-    None and what is outside the catalogue are left to the physical evidence: where they end does not carry
-    over from engine to engine, which effect it is does (docs/results/learned_decision.md).
-    """
-    known = [learned[other] for other in effects if other in learned] if learned else []
-    if not learned or name not in learned or not known:
-        return 0.0
-    return float(np.log(max(learned[name], _LEAST) / max(float(np.mean(known)), _LEAST)))
+    for name, fit in fits.items():
+        n = len(by_name[name].scales)
+        covariance = scale * fit.covariance[:n, :n]
+        findings[name] = finding(by_name[name], motion.nats(name, weights), fit.coefficients[:n], covariance)
+        logits[name] = motion.logit(name, weights)
+    logits[UNKNOWN] = float(weights.strangeness * np.log(left / weights.strange))
+    return SessionEvidence(findings, drops, _chances(logits), left)
 
 
 def _of_images(effect: Effect, name: str, clips: Sequence[Mapping[str, Finding]]) -> Finding:

@@ -1,0 +1,90 @@
+"""What evidence of a session is worth is learnt from sessions whose cause is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from toile.diagnosis.decision import NONE
+from toile.diagnosis.session_weights import (
+    MotionEvidence,
+    SessionCase,
+    SessionWeights,
+    chances,
+    learnt_weights,
+    left_out_chances,
+)
+from toile.errors import InputError
+
+EFFECTS = ("air_drag", "internal_damping", "nonuniform_density")
+
+
+def evidence(drops: tuple[float, ...], base: float = 50.0) -> MotionEvidence:
+    by_name = dict(zip(EFFECTS, drops, strict=True))
+    return MotionEvidence(base, by_name, dict.fromkeys(EFFECTS, 4.0), 1.6)
+
+
+def cases(noise: float, gain: float) -> list[SessionCase]:
+    """Twelve nulls, and as many sessions of every effect; drops scatter by ``noise``."""
+    rng = np.random.default_rng(3)
+    found = []
+    for cause in (NONE, *EFFECTS):
+        for k in range(12):
+            drops = tuple(4 + noise * abs(rng.normal()) + gain * (name == cause) for name in EFFECTS)
+            found.append(SessionCase(f"{cause}_{k}", cause, evidence(drops, 90 + gain)))
+    return found
+
+
+def test_probabilities_are_of_effects_and_none() -> None:
+    p = chances(evidence((40.0, 6.0, 5.0)), SessionWeights())
+    assert sum(p.values()) == pytest.approx(1.0)
+    assert max(p, key=lambda name: p[name]) == "air_drag"
+    assert max(chances(evidence((4.0, 4.0, 4.0)), SessionWeights()).items(), key=lambda i: i[1])[0] == NONE
+
+
+def test_a_model_that_is_wrong_anyhow_says_less() -> None:
+    weights = SessionWeights()
+    good, bad = evidence((40.0, 6.0, 5.0), 60.0), evidence((40.0, 6.0, 5.0), 600.0)
+    assert bad.left(weights) > 4 > 1 > good.left(weights)
+    assert bad.nats("air_drag", weights) < good.nats("air_drag", weights) / 4
+
+
+def test_more_noise_in_the_nulls_asks_for_more_evidence() -> None:
+    quiet, noisy = learnt_weights(cases(1.0, 30.0)), learnt_weights(cases(12.0, 30.0))
+    needed = [weights.threshold + 2 * weights.temperature for weights in (quiet, noisy)]
+    assert needed[1] > needed[0] + 3
+    assert noisy.temperature > quiet.temperature
+
+
+def test_causes_are_named_by_weights_that_have_not_seen_them() -> None:
+    known = cases(3.0, 30.0)[::3]
+    for case, p in zip(known, left_out_chances(known), strict=True):
+        assert max(p, key=lambda name: p[name]) == case.cause
+
+
+def test_the_learned_decision_parts_what_the_misfit_cannot() -> None:
+    one = evidence((40.0, 40.0, 5.0))
+    with_odds = replace(one, learned={"air_drag": 0.1, "internal_damping": 0.8, "nonuniform_density": 0.1})
+    p = chances(with_odds, SessionWeights())
+    assert p["internal_damping"] > 3 * p["air_drag"]
+    q = chances(one, SessionWeights())
+    assert q["internal_damping"] == pytest.approx(q["air_drag"])
+
+
+def test_weights_come_back_from_their_file(tmp_path: Path) -> None:
+    path = tmp_path / "weights.json"
+    weights = SessionWeights(usual=1.5, threshold=9.0)
+    weights.write(path, "a test")
+    assert SessionWeights.load(path) == weights
+    assert SessionWeights.load().temperature > 0
+
+
+@pytest.mark.parametrize("text", ["", "[]", '{"weights": {"usual": 1}}', '{"weights": {"usual": "x"}}'])
+def test_a_file_without_weights_is_refused(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "weights.json"
+    path.write_text(text)
+    with pytest.raises(InputError, match=str(path)):
+        SessionWeights.load(path)
