@@ -22,6 +22,7 @@ from toile.diagnosis.record import (
     CalibrationUse,
     Estimate,
     GapReport,
+    SessionAnswer,
     Shrink,
     Verdict,
     Where,
@@ -528,3 +529,20 @@ def test_warnings_of_the_scene_stand_above_the_answer(report: GapReport) -> None
     assert 'class="warning"' not in header(report)
     text = header(dataclasses.replace(report, warnings=("The focal length is <guessed>.",)))
     assert text.index("The focal length is &lt;guessed&gt;.") < text.index('class="lead"')
+
+
+@pytest.mark.parametrize(
+    ("clips", "says", "not_said"),
+    [
+        ((), "frames that nothing was fitted to", "have seen"),
+        (("release",), "by fits that have seen them", "nothing was fitted to"),
+        (("release", "shake"), "by fits to the other clips", "have seen"),
+    ],
+)
+def test_the_page_says_what_a_prediction_has_seen(
+    report: GapReport, clips: tuple[str, ...], says: str, not_said: str
+) -> None:
+    session = SessionAnswer(clips, (12,) * len(clips), {}, (), {}, 1.0) if clips else None
+    page = body(dataclasses.replace(report, session=session))
+    assert says in page
+    assert not_said not in page
