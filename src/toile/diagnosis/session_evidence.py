@@ -17,6 +17,7 @@ from toile.effects.base import Effect, Scope
 
 Array = NDArray[np.float64]
 
+
 @dataclass(frozen=True)
 class SessionEvidence:
     """What speaks for every hypothesis.
