@@ -69,8 +69,8 @@ COSTS: Sequence[tuple[str, str]] = (
     ("one clip instead of three", "cause ranked first 0.50 instead of 0.64; 90 % set of 5.6 instead of 4.4"),
     ("25 frames a second instead of 50", "cause ranked first 0.59 instead of 0.62, from one clip"),
 )
-"""What less costs: share of simulated sessions whose cause the learned decision ranks first among effects, from
-the motion alone (docs/results/learned_decision.csv)."""
+"""What less costs: share of simulated sessions whose cause the learned decision ranks first among effects
+(docs/results/learned_decision.csv)."""
 
 ALWAYS = (
     "the same cloth, held at the same two corners (but for turned); camera on a tripod, never moved",
