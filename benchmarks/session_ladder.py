@@ -24,6 +24,7 @@ from hydra import compose, initialize_config_dir
 from toile.atomic_file import write_text
 from toile.cli.configuration import CONF, register_resolvers
 from toile.cli.diagnose import session_problem
+from toile.diagnosis.effect_evidence import EffectEvidence
 from toile.diagnosis.effect_sensitivities import FORCES
 from toile.diagnosis.pipeline import Pipeline
 from toile.diagnosis.problem import DiagnosisProblem
@@ -112,6 +113,8 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
         if isinstance(effect, FORCES):
             began = time.process_time()
             fit = fitting.fitted((effect,), base)
+            drop = base.misfit - fit.misfit
+            found = EffectEvidence.of(drop, fit.coefficients, fit.covariance, fit.size)
             rows.append(
                 {
                     "session": folder.name,
@@ -120,8 +123,12 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
                     "seconds": sum((clip.n_frames - 1) / clip.problem.scene.fps for clip in clips),
                     "base misfit": base.misfit,
                     "effect": effect.NAME,
-                    "drop": base.misfit - fit.misfit,
-                    "occam": fit.occam,
+                    "drop": drop,
+                    "occam": found.occam,
+                    "nats": found.nats(),
+                    "information": " ".join(f"{value:.5g}" for value in found.information),
+                    "slopes": " ".join(f"{value:.5g}" for value in found.slopes),
+                    "fitted size": found.fitted_size,
                     "learned": learned.get(effect.NAME, float("nan")),
                     "passes": len(fit.history) - len(base.history),
                     "CPU [s]": time.process_time() - began,
@@ -142,13 +149,12 @@ def _motion(
 
 def summary(table: pd.DataFrame) -> pd.DataFrame:
     """Per rung: which effect leads, by how much, and how far nulls go."""
-    table = table.assign(gain=table["drop"] - table["occam"])
     rows = []
     for (rung, session), own in table.groupby(["rung", "session"], sort=False):
         truth = str(session).rsplit("_", 2)[0]
-        best = own.sort_values("gain", ascending=False).iloc[0]
-        of_truth = own.loc[own["effect"] == truth, "gain"]
-        rivals = own.loc[own["effect"] != truth, "gain"].max()
+        best = own.sort_values("nats", ascending=False).iloc[0]
+        of_truth = own.loc[own["effect"] == truth, "nats"]
+        rivals = own.loc[own["effect"] != truth, "nats"].max()
         rows.append(
             {
                 "rung": rung,
@@ -157,7 +163,7 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
                 "position error [%]": own["position error [% of the width]"].iloc[0],
                 "leads": best["effect"],
                 "truth leads": best["effect"] == truth,
-                "its gain [nats]": best["gain"],
+                "its gain [nats]": best["nats"],
                 "truth over best rival [nats]": of_truth.iloc[0] - rivals if len(of_truth) else np.nan,
             }
         )

@@ -14,6 +14,7 @@ import pandas as pd
 
 from toile.atomic_file import write_text
 from toile.diagnosis.decision import NONE
+from toile.diagnosis.effect_evidence import EffectEvidence
 from toile.diagnosis.session_weights import (
     SHIPPED,
     MotionEvidence,
@@ -43,13 +44,17 @@ def cases_of(table: pd.DataFrame) -> list[SessionCase]:
         learned = by_name["learned"].dropna().to_dict() or None
         evidence = MotionEvidence(
             float(own["base misfit"].iloc[0]),
-            by_name["drop"].to_dict(),
-            by_name["occam"].to_dict(),
+            {str(name): _effect(row) for name, row in by_name.iterrows()},
             float(own["seconds"].iloc[0]),
             learned,
         )
         found.append(SessionCase(str(session), NONE if cause in AS_NONE else cause, evidence))
     return found
+
+
+def _effect(row: pd.Series) -> EffectEvidence:
+    information, slopes = (tuple(map(float, str(row[key]).split())) for key in ("information", "slopes"))
+    return EffectEvidence(float(row["drop"]), information, slopes, float(row["fitted size"]))
 
 
 def main() -> None:

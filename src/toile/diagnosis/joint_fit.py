@@ -215,6 +215,7 @@ class JointFit:
         misfit: negative log-posterior without determinants: of images, ties, and priors.
         history: misfit after every pass.
         occam: half the log determinant of what the effects' coefficients have learnt.
+        size: prior deviation of the coefficients under which it was fitted.
         converged: whether the last pass gained little.
     """
 
@@ -228,6 +229,7 @@ class JointFit:
     history: tuple[float, ...]
     occam: float
     converged: bool
+    size: float = 1.0
 
 
 class JointFitting:
@@ -308,6 +310,7 @@ class JointFitting:
             covariance=covariance,
             occam=occam,
             converged=converged,
+            size=self.settings.prior_inflation,
         )
 
     def layout(self, effects: Sequence[Effect]) -> SharedLayout:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import softmax
 
 from toile.diagnosis.decision import NONE, UNKNOWN, Calibration
+from toile.diagnosis.effect_evidence import EffectEvidence
 from toile.diagnosis.findings import Finding, finding
 from toile.diagnosis.joint_fit import JointFit
 from toile.diagnosis.session_weights import MotionEvidence, SessionWeights
@@ -59,8 +60,11 @@ def session_evidence(
     """
     by_name = {effect.NAME: effect for effect in effects}
     drops = {name: base.misfit - fit.misfit for name, fit in fits.items()}
-    occams = {name: fit.occam for name, fit in fits.items()}
-    motion = MotionEvidence(base.misfit, drops, occams, duration, learned)
+    own = {
+        name: EffectEvidence.of(drops[name], fit.coefficients, fit.covariance, fit.size)
+        for name, fit in fits.items()
+    }
+    motion = MotionEvidence(base.misfit, own, duration, learned)
     left = motion.left(weights)
     scale = max(1.0, left)
     findings = {

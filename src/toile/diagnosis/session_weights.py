@@ -19,6 +19,7 @@ from scipy.special import log_softmax
 
 from toile.atomic_file import write_text
 from toile.diagnosis.decision import NONE
+from toile.diagnosis.effect_evidence import EffectEvidence
 from toile.errors import InputError
 from toile.json_file import read_json_object
 
@@ -83,15 +84,13 @@ class MotionEvidence:
 
     Attributes:
         base: misfit of the base model [nats].
-        drops: of the misfit by every effect [nats].
-        occams: penalty for the coefficients of every effect [nats].
+        effects: what the fit of every effect says.
         duration: of all clips [s].
         learned: probabilities of the learned decision by label, None where there is none.
     """
 
     base: float
-    drops: Mapping[str, float]
-    occams: Mapping[str, float]
+    effects: Mapping[str, EffectEvidence]
     duration: float
     learned: Mapping[str, float] | None = None
 
@@ -99,16 +98,17 @@ class MotionEvidence:
         """Misfit of the best hypothesis over the usual one."""
         usual = weights.usual * self.duration * 25
         # Below zero where the tracked motion, at which the image term is zero, is not its minimum.
-        return max((self.base - max(self.drops.values(), default=0.0)) / usual, _LEAST)
+        most = max((effect.drop for effect in self.effects.values()), default=0.0)
+        return max((self.base - most) / usual, _LEAST)
 
     def nats(self, name: str, weights: SessionWeights) -> float:
         """Log evidence of an effect against the base model."""
         # What even the best hypothesis is wrong by is no noise of the size that was thought.
-        return self.drops[name] / max(1.0, self.left(weights)) - self.occams[name]
+        return self.effects[name].nats(max(1.0, self.left(weights)))
 
     def logit(self, name: str, weights: SessionWeights) -> float:
         """Log odds of an effect against none."""
-        odds = weights.learned * _log_odds(self.learned, name, self.drops)
+        odds = weights.learned * _log_odds(self.learned, name, self.effects)
         return (self.nats(name, weights) - weights.threshold) / weights.temperature + odds
 
 
@@ -153,8 +153,8 @@ def learnt_weights(cases: Sequence[SessionCase], prior: SessionWeights | None = 
 
 def chances(evidence: MotionEvidence, weights: SessionWeights) -> dict[str, float]:
     """Probabilities of effects that move the cloth and of none of them."""
-    names = [NONE, *evidence.drops]
-    logits = [0.0, *(evidence.logit(name, weights) for name in evidence.drops)]
+    names = [NONE, *evidence.effects]
+    logits = [0.0, *(evidence.logit(name, weights) for name in evidence.effects)]
     return dict(zip(names, map(float, np.exp(log_softmax(logits))), strict=True))
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from toile.diagnosis.decision import NONE
+from toile.diagnosis.effect_evidence import EffectEvidence
 from toile.diagnosis.session_weights import (
     MotionEvidence,
     SessionCase,
@@ -23,8 +24,12 @@ EFFECTS = ("air_drag", "internal_damping", "nonuniform_density")
 
 
 def evidence(drops: tuple[float, ...], base: float = 50.0) -> MotionEvidence:
-    by_name = dict(zip(EFFECTS, drops, strict=True))
-    return MotionEvidence(base, by_name, dict.fromkeys(EFFECTS, 4.0), 1.6)
+    by_name = {
+        # One coefficient of known size: what it gains is a parabola's depth.
+        name: EffectEvidence(drop, (1e3,), (float(np.sqrt(2e3 * drop)),), 3.0)
+        for name, drop in zip(EFFECTS, drops, strict=True)
+    }
+    return MotionEvidence(base, by_name, 1.6)
 
 
 def cases(noise: float, gain: float) -> list[SessionCase]:
