@@ -37,7 +37,7 @@ demo: setup ## Reconstruct a generated scene: table and result page
 
 .PHONY: test
 test: setup ## Run the tests; warnings are errors
-	$(BIN)/python -m pytest -n auto --maxprocesses 8 --dist loadfile
+	$(BIN)/python -m pytest -n auto --maxprocesses 8 --dist loadfile --durations=40 --durations-min=5
 
 .PHONY: notebooks
 notebooks: setup ## Run the notebooks; their outputs go to build/notebooks
