@@ -221,11 +221,14 @@ def page(table: pd.DataFrame) -> str:
             "largest gain of a null [nats]": still.groupby("rung", sort=False)["its gain [nats]"].max(),
         }
     )
+    counts = counts.astype(object).where(counts.notna(), "–")
     lines += [counts.reset_index().to_markdown(index=False, floatfmt=".1f"), ""]
     lines += [
         f"Without {' and '.join(WITHOUT_TRACE)}: the former is a wind, the latter is seen in images.",
         "",
     ]
+    over = sessions["truth over best rival [nats]"].map(lambda nats: "–" if np.isnan(nats) else f"{nats:.2f}")
+    sessions = sessions.assign(**{"truth over best rival [nats]": over})
     lines += [sessions.to_markdown(index=False, floatfmt=".2f"), ""]
     return "\n".join(lines)
 
