@@ -21,6 +21,7 @@ from toile.errors import InputError
 from toile.physics.implicit.integrators import BDF2
 from toile.physics.implicit.simulator import ImplicitSimulator
 from toile.reconstruction.gauss_newton.recipe import TrackingRecipe
+from toile.reconstruction.image_terms.texture_points import TexturePointTerm
 from toile.reconstruction.problem import Reconstruction
 from toile.scenes.scene import Scene
 
@@ -39,6 +40,7 @@ class DiagnosisProblem:
 
     Attributes:
         n_fitted: frames that are meant to be fitted.
+        image_term: () of the last stage of tracking; the features of its images take seconds.
         levels: (tracked) grids of the model, coarse to fine, and the motion on them.
         mechanics: (tracked, base) the base model with the problem that it solves.
         converged_mechanics: (tracked, base, converged) the same around the converged base model.
@@ -63,6 +65,7 @@ class DiagnosisProblem:
         _start_material(reconstruction, settings.stiffness)
         self.made_from = _fingerprints(reconstruction, recipe)
         self.candidates = {"candidates": fingerprint(self.effects)}
+        self.image_term = cache(self._image_term)
         self.levels = cache(self._levels)
         self.mechanics = cache(self._mechanics)
         self.converged_mechanics = cache(self._converged_mechanics)
@@ -72,10 +75,12 @@ class DiagnosisProblem:
         """Frames that are fitted: as many as are meant to be, as long as tracking keeps the cloth."""
         return min(self.n_fitted, seen.known)
 
+    def _image_term(self) -> TexturePointTerm:
+        return TexturePointTerm.of(self.reconstruction, point_settings(self.recipe), self.settings.seed)
+
     def _levels(self, tracked: TrackedMotion) -> list[tuple[ModelGrid, Tracked]]:
-        points, seed = point_settings(self.recipe), self.settings.seed
         return [
-            (grid, tracked_motion(self.reconstruction, tracked.positions, grid, points, seed))
+            (grid, tracked_motion(self.reconstruction, tracked.positions, grid, self.image_term()))
             for grid in model_grids(self.scene, self.reconstruction.cloth, self.settings.sides)
         ]
 

@@ -19,7 +19,7 @@ from toile.diagnosis.results import Seen, TrackedMotion
 from toile.diagnosis.session_settings import SessionSettings
 from toile.diagnosis.softened import softened
 from toile.diagnosis.stages import DiagnosisStages
-from toile.diagnosis.tracked import point_settings, tracked_motion
+from toile.diagnosis.tracked import tracked_motion
 from toile.diagnosis.workers import ALONE, Workers
 from toile.effects.base import Effect
 
@@ -168,8 +168,7 @@ def _grid(clip: SeenClip, settings: SessionSettings) -> ModelGrid:
 def _joint(clip: SeenClip, grid: ModelGrid, positions: Array, s: SessionSettings) -> JointClip:
     problem = clip.problem
     fps, of_clip = problem.scene.fps, problem.settings.shooting
-    points = point_settings(problem.recipe)
-    tracked = tracked_motion(problem.reconstruction, positions, grid, points, problem.settings.seed)
+    tracked = tracked_motion(problem.reconstruction, positions, grid, problem.image_term())
     tracked = softened(tracked, grid.cloth_size[0], fps, of_clip.likelihood_weight, s.model_error)
     own = replace(
         of_clip,

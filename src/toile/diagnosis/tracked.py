@@ -198,18 +198,13 @@ def track_once(
 
 
 def tracked_motion(
-    reconstruction: Reconstruction,
-    positions: Array,
-    grid: ModelGrid,
-    settings: PointTermSettings,
-    seed: int,
+    reconstruction: Reconstruction, positions: Array, grid: ModelGrid, term: TexturePointTerm
 ) -> Tracked:
     """The image term around tracked positions (F, N_scene, 3), on the model's grid.
 
     The noise of the features is what is left of them at the tracked positions.
     """
-    term = TexturePointTerm.of(reconstruction, settings, seed)
-    points = term.points
+    settings, points = term.settings, term.points
     seen = visible(reconstruction, points, positions)
     value = term.evaluate(positions, 0, seen, derivatives=True)
     # ½ Σ w |r|² / δ² over three channels is the number of points times 3/2 σ² / δ².
