@@ -375,9 +375,12 @@ def test_clips_of_a_session_have_one_answer(two_clips: Path, tmp_path: Path) -> 
         "session_model.refining.rounds=1",
         "session_model.refining.passes=2",
         "session_model.placebos=1",
+        "session_model.fitted=2",
+        "session_model.draws=4",
         "effect@candidates=[air_drag,gravity_tilt,gusts,shading]",
     )
-    diagnose_session_folder(two_clips, tmp_path, (*SMALL, *small))
+    with contextlib.chdir(tmp_path):
+        assert main(("diagnose", f"session={two_clips}", *SMALL, *small, f"hydra.run.dir={tmp_path}")) == 0
     report = GapReport.read(tmp_path / DIAGNOSIS_FILE)
     assert report.session is not None
     assert report.session.clips == ("first", "second")
@@ -387,6 +390,9 @@ def test_clips_of_a_session_have_one_answer(two_clips: Path, tmp_path: Path) -> 
     assert {effect.name for effect in report.effects} == {"air_drag", "gusts", "shading"}
     assert len(report.where.frames) == 24
     assert set(report.session.material) >= {"stretching", "shearing", "bending"}
+    asked = report.session.expected_information
+    assert (report.verdict.effect in ("ambiguous", "unknown")) == bool(asked)
+    assert report.session.next_clip in ("", *list(asked)[:1])
     shrunk = [effect.shrink for effect in report.effects if effect.shrink is not None]
     assert all(shrink.held_out == "the last clip" for shrink in shrunk)
     assert (tmp_path / report.where.vertices).is_file()

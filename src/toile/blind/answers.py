@@ -7,7 +7,8 @@ Beside the keys of ``diagnosis.record``, at the top, in ``verdict`` or in ``sess
 - ``class``: names that are one answer with the verdict's effect
 - ``equivalence_classes``: [[name]], what this session cannot tell apart, as declared
 - ``baselines``: {name: effect, or {``effect``}}, other answers to the same session
-- ``next_recording``: {``motion``, ...} in place of a sentence
+- ``next_recording``: {``motion``, ...} in place of a sentence; of sessions ``next_clip`` and
+  ``expected_information``
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ class Answer:
             within a declared one.
         classes: declared equivalence classes.
         next_motion: what to record next, "" where nothing is said that could be done.
+        next_motions: the same and, after it, what would tell less, in that order.
         baselines: effect that each of other methods names.
     """
 
@@ -47,6 +49,7 @@ class Answer:
     one_answer: tuple[str, ...]
     classes: tuple[tuple[str, ...], ...]
     next_motion: str
+    next_motions: tuple[str, ...]
     baselines: Mapping[str, str]
 
     def same(self, name: str) -> frozenset[str]:
@@ -90,6 +93,12 @@ def _split(values: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any], Any]
     parts = (session if isinstance(session, dict) else {}, verdict, values)
     added = {k: v for part in parts for k, v in part.items() if k in _ADDED}
     following = values.get("next_recording", verdict.get("next_recording"))
+    if parts[0].get("next_clip"):
+        gains = parts[0].get("expected_information") or {}
+        following = {
+            "motion": parts[0]["next_clip"],
+            "motions": sorted(gains, key=lambda m: -float(gains[m])),
+        }
     plain = {k: v for k, v in values.items() if k not in (*_ADDED, "next_recording")}
     if verdict:
         plain["verdict"] = {k: v for k, v in verdict.items() if k not in _ADDED}
@@ -122,9 +131,16 @@ def _answer(report: GapReport, added: Mapping[str, Any], following: Any) -> Answ
         one_answer=tuple(sorted(claimed if declared else {verdict.effect})),
         classes=tuple(c for c in classes if not {NONE, UNKNOWN} & set(c)),
         next_motion=_motion(following),
+        next_motions=_motions(following),
         baselines=baselines,
     )
 
 
 def _motion(following: Any) -> str:
     return str(following.get("motion", "")) if isinstance(following, Mapping) else ""
+
+
+def _motions(following: Any) -> tuple[str, ...]:
+    first = _motion(following)
+    others = following.get("motions", ()) if isinstance(following, Mapping) else ()
+    return tuple(dict.fromkeys((first, *map(str, others)))) if first else ()

@@ -301,7 +301,9 @@ def session_problem(cfg: DictConfig) -> SessionProblem:
     Raises:
         InputError: the session, a scene or a setting is of no use.
     """
-    if not OmegaConf.is_missing(cfg.scene, "name"):
+    # The command line calls run folders after the session, see name_sessions.
+    own = str(Path(str(cfg.session)).expanduser().resolve())
+    if not OmegaConf.is_missing(cfg.scene, "name") and str(cfg.scene.name) != own:
         raise InputError(
             "Either a scene or a session is diagnosed",
             where="command line",

@@ -118,6 +118,10 @@ def next_recording(path: Path) -> dict[str, Any] | str:
     try:
         values = read_json_object(file)
         asked = values.get("next_recording", values["verdict"].get("next_recording"))
+        session = values.get("session")
+        if isinstance(session, Mapping) and session.get("next_clip"):
+            gains = {str(m): float(gain) for m, gain in session["expected_information"].items()}
+            asked = {"motion": str(session["next_clip"]), "expected information [nats]": gains}
         if asked is not None and not isinstance(asked, str | dict):
             raise ValueError("next_recording is neither a text nor an object")
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:

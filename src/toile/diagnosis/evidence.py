@@ -196,11 +196,23 @@ class Evidence:
 
     def fisher(self, size: Discrepancy) -> Array:
         """Information on all effects' coefficients; base, local unknowns and discrepancy integrated out."""
-        reduced = self.reduced(size)
-        b = self.n_base
+        return self.information(range(self.n_base, self.n_shared), size)[0]
+
+    def information(self, free: Sequence[int], size: Discrepancy) -> tuple[Array, Array]:
+        """Information on some effects' coefficients, and the slope of the likelihood by them.
+
+        Base, local unknowns and discrepancy are integrated out; no other effect acts.
+
+        Args:
+            free: places of the coefficients among the shared unknowns.
+            size: of the discrepancy.
+        """
+        reduced, b = self.reduced(size), self.n_base
         A = reduced.matrix[:b, :b] + np.diag(self.deviations**-2)
-        C = reduced.matrix[:b, b:]
-        return np.asarray(reduced.matrix[b:, b:] - C.T @ np.linalg.solve(A, C))
+        C = reduced.matrix[:b][:, free]
+        solved = np.linalg.solve(A, C)
+        slope = reduced.right[free] - solved.T @ (reduced.right[:b] - self.values / self.deviations**2)
+        return reduced.matrix[np.ix_(free, free)] - C.T @ solved, slope
 
     def towards(
         self,

@@ -76,6 +76,9 @@ DEFAULT = JointFitSettings()
 _SMOOTHED = 5
 """Frames through which the cubic goes whose slope is the velocity of a start."""
 
+_DRAUGHT = 0.02
+"""Deviation of the wind in a closed room [m/s²]."""
+
 _ROOM = 1e-12
 """Between the bounds of a coefficient that is at one of them; clipped afterwards."""
 
@@ -89,16 +92,24 @@ class JointClip:
         around: the nominal clip on the model's grid.
         device: that filmed it, from 0.
         windows: as tracked.
+        still_air: whether nothing blew: its wind is that of a closed room.
     """
 
     shooting: Shooting
     around: Surroundings
     device: int
     windows: list[WindowMotion]
+    still_air: bool = False
 
 
 def joint_clip(
-    shooting: Shooting, around: Surroundings, n_frames: int, device: int = 0, *, forces: bool = False
+    shooting: Shooting,
+    around: Surroundings,
+    n_frames: int,
+    device: int = 0,
+    *,
+    forces: bool = False,
+    still_air: bool = False,
 ) -> JointClip:
     """A clip whose windows start where the cloth was tracked, as fast as it was.
 
@@ -108,9 +119,10 @@ def joint_clip(
         n_frames: frames used.
         device: that filmed it.
         forces: whether windows keep forces of their own, see JointFitSettings.
+        still_air: whether nothing blew.
     """
     bare = shooting if forces else shooting.without_forces()
-    return JointClip(bare, around, device, tracked_windows(bare, n_frames))
+    return JointClip(bare, around, device, tracked_windows(bare, n_frames), still_air)
 
 
 def tracked_windows(shooting: Shooting, n_frames: int) -> list[WindowMotion]:
@@ -174,6 +186,11 @@ class SharedLayout:
     def coefficients(self, clip: int) -> list[Places]:
         """Places of every effect's coefficients in a clip among all coefficients."""
         return [places[clip] for places in self._places]
+
+    @property
+    def places(self) -> list[list[int]]:
+        """Places of all coefficients of every effect among all coefficients, each once."""
+        return [sorted({int(p) for places in of_clips for p in places}) for of_clips in self._places]
 
     def base(self, clip: int) -> Places:
         """Places of material and wind of a clip among the base values."""
@@ -271,6 +288,16 @@ class JointFitting:
         nothing = np.zeros((0, 0))
         return JointFit((), values, np.zeros(0), nothing, windows, none, cost, (cost,), 0.0, False)
 
+    def expected(self, values: Array) -> JointFit:
+        """The base model with these values and the clips' windows as they are; nothing is fitted.
+
+        Args:
+            values: log ratios of the material's numbers, and the winds of all clips (P + 2 C,).
+        """
+        none: list[tuple[Effect, ...]] = [()] * len(self.clips)
+        windows = [clip.windows for clip in self.clips]
+        return JointFit((), values, np.zeros(0), np.zeros((0, 0)), windows, none, 0.0, (0.0,), 0.0, False)
+
     def fitted(self, effects: Sequence[Effect], begin: JointFit, workers: Workers = ALONE) -> JointFit:
         """A hypothesis at its best.
 
@@ -323,10 +350,63 @@ class JointFitting:
         cost = self._cost(layout, fit.windows, fit.values, fit.coefficients)
         return replace(fit, misfit=cost, history=(cost,))
 
-    def evidence(self, effects: Sequence[Effect], fit: JointFit, workers: Workers = ALONE) -> Evidence:
-        """Systems around a fit of the base model, with the coefficients of effects that may be added."""
+    def systems(
+        self, effects: Sequence[Effect], fit: JointFit, workers: Workers = ALONE
+    ) -> list[list[WindowSystem]]:
+        """Of every clip around a fit of the base model, with the coefficients of effects that may be added.
+
+        They are over [material | wind | coefficients | local unknowns] of the clip, see ``fisher``.
+        """
         layout = self.layout(effects)
-        return self._evidence(layout, self._placed(layout, fit), workers, motion=False)
+        place = self._placed(layout, fit)
+        return [self._systems(layout, place, c, workers, motion=False) for c in range(len(self.clips))]
+
+    def fisher(self, effects: Sequence[Effect], systems: Sequence[Sequence[WindowSystem]]) -> Array:
+        """Information on the effects' coefficients; material, winds and windows' own unknowns integrated out.
+
+        Args:
+            effects: see ``systems``.
+            systems: of every clip.
+        """
+        layout = self.layout(effects)
+        embedded = [layout.embedded(one, c) for c, own in enumerate(systems) for one in own]
+        nothing = np.zeros(layout.n_base)
+        return Evidence(embedded, nothing, self._deviations(layout)).fisher(self.size)
+
+    def linearised(
+        self, effects: Sequence[Effect], base: JointFit, systems: Sequence[Sequence[WindowSystem]]
+    ) -> dict[str, JointFit]:
+        """Every effect alone at the minimum of the quadratic around the base model; nothing is simulated.
+
+        Args:
+            effects: that may be added.
+            base: the base model.
+            systems: of every clip around it, see ``systems``.
+        """
+        layout = self.layout(effects)
+        embedded = [layout.embedded(one, c) for c, own in enumerate(systems) for one in own]
+        evidence = Evidence(embedded, base.values, self._deviations(layout))
+        found = {}
+        for effect, places in zip(effects, layout.places, strict=True):
+            alone = self.layout((effect,))
+            free = [layout.n_base + place for place in places]
+            # Sizes of the prior only: the evidence of the fit is made of drop and covariance.
+            information, score = evidence.information(free, self.size)
+            precision = information + np.eye(len(free)) / self.settings.prior_inflation**2
+            covariance = np.asarray(np.linalg.inv(precision), np.float64)
+            best = self._bounded(alone, covariance @ score)
+            drop = float(score @ best - 0.5 * best @ precision @ best)
+            found[effect.NAME] = replace(
+                base,
+                names=(effect.NAME,),
+                coefficients=best,
+                covariance=covariance,
+                effects=self._acting(alone, best),
+                misfit=base.misfit - drop,
+                converged=False,
+                size=self.settings.prior_inflation,
+            )
+        return found
 
     def _placed(self, layout: SharedLayout, begin: JointFit) -> JointFit:
         """A hypothesis where another one with some of its effects has ended."""
@@ -360,18 +440,28 @@ class JointFitting:
     def _evidence(
         self, layout: SharedLayout, place: JointFit, workers: Workers, *, motion: bool = True
     ) -> Evidence:
-        systems: list[WindowSystem] = []
-        acting = self._acting(layout, place.coefficients)
-        for c, clip in enumerate(self.clips):
-            fit = BaseFit(place.windows[c], self.start, place.values[layout.base(c)], place.misfit, ())
-            n = sum(len(effect.scales) for effect in layout.effects)
-            own = effect_systems(clip.shooting, fit, acting[c], clip.around, None, n, workers, motion=motion)
-            systems += [layout.embedded(system, c) for system in own]
+        systems = [
+            layout.embedded(system, c)
+            for c in range(len(self.clips))
+            for system in self._systems(layout, place, c, workers, motion=motion)
+        ]
         return Evidence(systems, place.values, self._deviations(layout), coefficients=place.coefficients)
+
+    def _systems(
+        self, layout: SharedLayout, place: JointFit, c: int, workers: Workers, *, motion: bool
+    ) -> list[WindowSystem]:
+        """Of one clip's windows, over [material | its wind | its coefficients | local unknowns]."""
+        clip = self.clips[c]
+        fit = BaseFit(place.windows[c], self.start, place.values[layout.base(c)], place.misfit, ())
+        n = sum(len(effect.scales) for effect in layout.effects)
+        acting = self._acting(layout, place.coefficients)[c]
+        return effect_systems(clip.shooting, fit, acting, clip.around, None, n, workers, motion=motion)
 
     def _deviations(self, layout: SharedLayout) -> Array:
         of_clip = base_deviations(self.clips[0].shooting)
-        return np.concatenate((of_clip[:-N_WIND], *([of_clip[-N_WIND:]] * layout.n_clips)))
+        draught = np.full(N_WIND, _DRAUGHT)
+        winds = [draught if clip.still_air else of_clip[-N_WIND:] for clip in self.clips]
+        return np.concatenate((of_clip[:-N_WIND], *winds))
 
     def _longest(self, layout: SharedLayout) -> Array:
         stiffness = self.clips[0].shooting.settings.longest_stiffness

@@ -1,8 +1,8 @@
 """How the forces of step terms hang on the motion before the step: damping, drag, strains of the past.
 
-A force at a vertex depends on positions and velocities of its neighbours up to two away on the grid. So rows
-of the derivative that are five apart share no column, and 25 adjoints for each axis give all of it (Curtis,
-Powell and Reid 1974, On the estimation of sparse Jacobian matrices).
+A force at a vertex depends on positions and velocities of its neighbours up to r away on the grid, r at most
+two. So rows of the derivative that are 2 r + 1 apart share no column, and (2 r + 1)² adjoints for each axis
+give all of it (Curtis, Powell and Reid 1974, On the estimation of sparse Jacobian matrices).
 """
 
 from __future__ import annotations
@@ -21,9 +21,6 @@ from toile.physics.step_terms import StepContext, StepTerm
 Array = NDArray[np.float64]
 Single = NDArray[np.float32]
 
-# A force reaches this many vertices in each direction of the grid.
-_REACH = 2
-
 
 class PastForces:
     """Derivatives of the terms' forces by the positions and velocities at the begin of a step.
@@ -39,7 +36,8 @@ class PastForces:
     def __init__(self, terms: Sequence[StepTerm], grid: tuple[int, int]) -> None:
         self._terms = terms
         H, W = grid
-        n, apart = H * W, 2 * _REACH + 1
+        reach = max(term.past_reach for term in terms)
+        n, apart = H * W, 2 * reach + 1
         i, j = (a.reshape(-1) for a in np.meshgrid(np.arange(H), np.arange(W), indexing="ij"))
         colours = [(a, b) for a in range(apart) for b in range(apart)]
         probes = np.zeros((len(colours), 3, n, 3))
@@ -50,7 +48,7 @@ class PastForces:
             for axis in range(3):
                 probes[k, axis, chosen, axis] = 1.0
             # The one vertex of this colour that a vertex can act on.
-            near = i + (a - i + _REACH) % apart - _REACH, j + (b - j + _REACH) % apart - _REACH
+            near = i + (a - i + reach) % apart - reach, j + (b - j + reach) % apart - reach
             inside[k] = (near[0] >= 0) & (near[0] < H) & (near[1] >= 0) & (near[1] < W)
             rows[k] = np.where(inside[k], near[0] * W + near[1], 0)
         self._probes = torch.from_numpy(probes.reshape(-1, n, 3))

@@ -17,7 +17,8 @@ Keys of the file:
 - ``calibration``: ``calibrated``, ``file``, ``settings``, ``made_for``, ``differences`` [text]
 - ``warnings``: [text], what is remarkable about the scene
 - ``session``: null, or of several clips ``clips`` [name], ``frames`` [number], ``probabilities`` {name:
-  number}, ``equivalence_classes`` [[name]], ``material`` {name: number}, ``left``
+  number}, ``equivalence_classes`` [[name]], ``material`` {name: number}, ``left``, ``next_clip``,
+  ``expected_information`` {motion: number}
 
 Numbers that do not exist are null. Keys that are not listed are refused: a typing error must not pass for a
 missing answer.
@@ -241,6 +242,9 @@ class SessionAnswer:
         equivalence_classes: effects that these clips cannot tell apart.
         material: of the base model, by name, SI.
         left: misfit of the best hypothesis over that of a right one.
+        next_clip: motion of the clip to record next, "" for none.
+        expected_information: by motion, what one more clip would add to the answer [nats]; {} where the
+            answer is clear.
     """
 
     clips: tuple[str, ...]
@@ -249,6 +253,8 @@ class SessionAnswer:
     equivalence_classes: tuple[tuple[str, ...], ...]
     material: dict[str, float]
     left: float
+    next_clip: str = ""
+    expected_information: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

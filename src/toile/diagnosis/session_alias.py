@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from toile.diagnosis.joint_fit import JointFit, JointFitting
+from toile.diagnosis.continuity import WindowSystem
+from toile.diagnosis.joint_fit import JointFitting
 from toile.diagnosis.record import Alias
-from toile.diagnosis.workers import ALONE, Workers
 from toile.effects.base import Effect
 
 Array = NDArray[np.float64]
@@ -17,11 +17,10 @@ Array = NDArray[np.float64]
 
 def session_alias(
     fitting: JointFitting,
-    base: JointFit,
     effects: Sequence[Effect],
+    systems: Sequence[Sequence[WindowSystem]],
     needed: float,
     scale: float,
-    workers: Workers = ALONE,
 ) -> Alias:
     """Alias matrix and detection limits around the base model.
 
@@ -29,16 +28,13 @@ def session_alias(
 
     Args:
         fitting: the problem.
-        base: the base model, fitted.
         effects: that move the cloth.
+        systems: of every clip around the base model, see JointFitting.systems.
         needed: evidence from which on an effect is seen [nats].
         scale: by which misfits are too large, see session_evidence.
-        workers: share the windows.
     """
-    evidence = fitting.evidence(effects, base, workers)
-    layout = fitting.layout(effects)
-    fisher = evidence.fisher(fitting.size) / scale
-    places = _places(layout.effects, [layout.coefficients(c) for c in range(layout.n_clips)])
+    fisher = fitting.fisher(effects, systems) / scale
+    places = fitting.layout(effects).places
     names = [effect.NAME for effect in effects]
     roots = [_inverse_root(fisher[np.ix_(own, own)]) for own in places]
     matrix = np.eye(len(names))
@@ -53,11 +49,6 @@ def session_alias(
         limit = float(np.sqrt(2 * needed / max(information, 1e-12))) * parameter.scale
         limits[effect.NAME] = limit if limit <= max(abs(parameter.low), abs(parameter.high)) else None
     return Alias(tuple(names), tuple(tuple(map(float, row)) for row in matrix), limits)
-
-
-def _places(effects: Sequence[Effect], of_clips: Sequence[Sequence[NDArray[np.intp]]]) -> list[list[int]]:
-    """Places of all coefficients of every effect, each once."""
-    return [sorted({int(p) for clip in of_clips for p in clip[k]}) for k in range(len(effects))]
 
 
 def _inverse_root(block: Array) -> Array:

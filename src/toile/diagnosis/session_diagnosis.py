@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from toile.atomic_file import written_atomically
 from toile.diagnosis.arrays import FRAMES_FILE, VERTICES_FILE
 from toile.diagnosis.decision import UNKNOWN, Calibration
+from toile.diagnosis.effect_evidence import EffectEvidence
 from toile.diagnosis.effect_sensitivities import FORCES
 from toile.diagnosis.findings import estimates
 from toile.diagnosis.fingerprint import fingerprint
@@ -21,6 +22,7 @@ from toile.diagnosis.joint_fit import JointFit
 from toile.diagnosis.learned.decision import WEIGHTS, LearnedDecision
 from toile.diagnosis.learned.features import clip_features
 from toile.diagnosis.left_out import LeftOut, left_out_shrinks
+from toile.diagnosis.next_clip import expected_gains
 from toile.diagnosis.pipeline import Pipeline, Progress
 from toile.diagnosis.problem import DiagnosisProblem
 from toile.diagnosis.record import (
@@ -47,15 +49,16 @@ from toile.diagnosis.session_stages import (
     refining_stage,
     seen_clips,
 )
-from toile.diagnosis.session_weights import SessionWeights
+from toile.diagnosis.session_weights import MotionEvidence, SessionWeights
 from toile.diagnosis.settings import DiagnosisSettings
 from toile.diagnosis.stage_store import StageStore
 from toile.diagnosis.stage_times import TIMES_FILE, StageTimes
 from toile.diagnosis.stored_values import ValueStore
-from toile.diagnosis.verdict import verdict_of
+from toile.diagnosis.verdict import is_clear, verdict_of
 from toile.diagnosis.workers import ALONE, Workers
 from toile.effects.base import Effect
 from toile.effects.catalogue import STAGES
+from toile.generation.clip_plan import MOTIONS
 from toile.scenes.session import Session
 
 Array = NDArray[np.float64]
@@ -63,6 +66,9 @@ Array = NDArray[np.float64]
 KNOWN_BY = {"plumb_line": "gravity_tilt", "clock": "frame_rate"}
 """Effects that something in view has measured."""
 
+
+_LEAST_GAIN = 0.05
+"""Expected information for which it is worth to record another clip [nats]."""
 
 _FEWEST = 24
 """Frames of a clip that the learned decision looks at."""
@@ -80,6 +86,7 @@ class _Found:
     weights: SessionWeights
     alias: Alias
     left_out: LeftOut
+    gains: dict[str, float]
 
 
 def diagnose_session(
@@ -115,33 +122,60 @@ def diagnose_session(
     pipeline = Pipeline(store, progress)
     names = list(dict.fromkeys(clip.device for clip in session.clips))
     devices = [names.index(clip.device) for clip in session.clips]
-    clips = seen_clips(problems, devices, pipeline, progress)
+    motions = [clip.motion for clip in session.clips]
+    clips = seen_clips(problems, devices, pipeline, progress, motions)
 
     made_from = {
         f"clip {k}.{key}": value for k, p in enumerate(problems) for key, value in p.made_from.items()
     }
     made_from |= {"together": fingerprint(together), "devices": fingerprint(devices)}
+    made_from["still air"] = fingerprint([clip.still_air for clip in clips])
     made_from |= {"stiffness": fingerprint(settings.stiffness), "shooting": fingerprint(settings.shooting)}
     refining = refining_stage(clips, together, settings.stiffness, made_from, workers)
     motion = pipeline.run(refining, *(clip.tracked for clip in clips))
     model = SessionModel(clips, motion, together, settings.stiffness)
     stages = HypothesisStages(model, progress, made_from, workers)
     base = pipeline.run(stages.base(0.5), motion)
-    fits = {}
-    for k, effect in enumerate(moving):
-        share = 0.5 + 0.4 * (k + 1) / (len(moving) + 1)
+    duration = sum((clip.n_frames - 1) / clip.problem.scene.fps for clip in clips)
+    weights = SessionWeights.load()
+    progress("what every effect would change", 0.55)
+    systems = model.fitting.systems(moving, base, workers)
+    fits = model.fitting.linearised(moving, base, systems)
+    chosen = [
+        effect for effect in moving if effect.NAME in _promising(base, fits, duration, weights, together)
+    ]
+    for k, effect in enumerate(chosen):
+        share = 0.58 + 0.3 * (k + 1) / (len(chosen) + 1)
         fits[effect.NAME] = pipeline.run(stages.fit((effect,), share), motion, base)
 
-    progress("what the clips say together", 0.92)
+    progress("what the clips say together", 0.88)
     calibration = Calibration.load(None if settings.calibration is None else Path(settings.calibration))
-    duration = sum((clip.n_frames - 1) / clip.problem.scene.fps for clip in clips)
     of_images = [clip.seen.findings for clip in clips]
-    learned, weights = learned_chances(clips, motion), SessionWeights.load()
+    learned = learned_chances(clips, motion)
     evidence = session_evidence(base, fits, effects, of_images, duration, calibration, learned, weights)
-    alias = session_alias(model.fitting, base, moving, weights.threshold, max(1.0, evidence.left), workers)
+    scale = max(1.0, evidence.left)
+    alias = session_alias(model.fitting, moving, systems, weights.threshold, scale)
+    gains: dict[str, float] = {}
+    if not is_clear(evidence.chances, settings.verdict):
+        progress("clips that may be recorded next", 0.9)
+        gains = expected_gains(
+            model.fitting,
+            base,
+            fits,
+            moving,
+            systems,
+            evidence.chances,
+            MOTIONS,
+            weights.temperature,
+            scale,
+            together.draws,
+            together.seed,
+            workers,
+        )
     progress("prediction of the clip that is left out", 0.95)
     ahead = max(2, round(together.ahead * problems[-1].scene.fps / 25))
-    best = [name for name in evidence.chances if name in fits][: together.refined]
+    simulated = {effect.NAME for effect in chosen}
+    best = [name for name in evidence.chances if name in simulated][: together.refined]
     left_out = left_out_shrinks(
         model.fitting,
         model.left_out,
@@ -153,8 +187,25 @@ def diagnose_session(
         together.seed,
     )
     progress("answer", 0.99)
-    found = _Found(clips, model, base, fits, evidence, weights, alias, left_out)
+    found = _Found(clips, model, base, fits, evidence, weights, alias, left_out, gains)
     return _report(found, effects, settings, together, calibration, session, folder)
+
+
+def _promising(
+    base: JointFit,
+    fits: Mapping[str, JointFit],
+    duration: float,
+    weights: SessionWeights,
+    together: SessionSettings,
+) -> set[str]:
+    """Effects that the linearised model says most for."""
+    own = {
+        name: EffectEvidence.of(base.misfit - fit.misfit, fit.coefficients, fit.covariance, fit.size)
+        for name, fit in fits.items()
+    }
+    evidence = MotionEvidence(base.misfit, own, duration)
+    ranked = sorted(fits, key=lambda name: -evidence.nats(name, weights))
+    return set(ranked[: together.fitted])
 
 
 def learned_chances(clips: Sequence[SeenClip], motion: RefinedMotion) -> dict[str, float] | None:
@@ -198,6 +249,12 @@ def _report(
         settings=settings.verdict,
     )
     verdict = _of_class(verdict, evidence.chances, classes, settings)
+    following = ""
+    if verdict.effect in (AMBIGUOUS, UNKNOWN) and found.gains:
+        best, gain = next(iter(found.gains.items()))
+        if gain >= _LEAST_GAIN:
+            following = best
+            verdict = replace(verdict, next_recording=f"another clip, {best}: {MOTIONS[best]}")
     scores = {name: max(one.log_evidence, 0.0) for name, one in evidence.findings.items()}
     mean = np.concatenate(distances).mean((1, 2))
     drops = {**image_evidence, **evidence.drops}
@@ -235,6 +292,8 @@ def _report(
             classes,
             _material(found),
             evidence.left,
+            following,
+            dict(found.gains),
         ),
     )
 

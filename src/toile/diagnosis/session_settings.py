@@ -47,12 +47,15 @@ class SessionSettings:
         refining: see RefiningSettings.
         model_error: see ModelError.
         fit: see JointFitSettings.
+        fitted: hypotheses that are fitted, those with most evidence in the model linearised around the
+            base; the others keep that evidence.
         refined: hypotheses whose prediction of the clip that is left out is measured.
         left_out_passes: over the other clips at most, for that.
         ahead: frames at 25 frames a second over which a prediction runs.
         placebos: force fields without meaning that are predicted beside them.
         alike: cosine between the traces of two effects from which on they are one answer.
-        seed: of placebos.
+        draws: of what a clip yet to be recorded may say, for every hypothesis.
+        seed: of placebos and draws.
     """
 
     law: GridLaw = taut
@@ -65,9 +68,11 @@ class SessionSettings:
     refining: RefiningSettings = field(default_factory=RefiningSettings)
     model_error: ModelError = field(default_factory=ModelError)
     fit: JointFitSettings = field(default_factory=JointFitSettings)
+    fitted: Count = 5
     refined: Count = 2
     left_out_passes: Count = 4
     ahead: Annotated[Positive, Unit("frames")] = 12.0
     placebos: Count = 3
     alike: Annotated[float, Field(gt=0, le=1)] = 0.95
+    draws: Count = 64
     seed: Seed = 0

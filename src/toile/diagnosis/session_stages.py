@@ -14,6 +14,7 @@ from toile.diagnosis.joint_fit import JointClip, JointFit, JointFitting, joint_c
 from toile.diagnosis.mechanics import shooting_of, start_material, surroundings
 from toile.diagnosis.model_grid import ModelGrid, model_grid
 from toile.diagnosis.pipeline import Pipeline, PipelineStage, Progress
+from toile.diagnosis.planned_clip import STILL_AIR
 from toile.diagnosis.problem import DiagnosisProblem
 from toile.diagnosis.results import Seen, TrackedMotion
 from toile.diagnosis.session_settings import SessionSettings
@@ -37,12 +38,14 @@ class SeenClip:
         device: that filmed it, from 0.
         tracked: its motion.
         seen: what its images say beside.
+        still_air: whether nothing blew.
     """
 
     problem: DiagnosisProblem
     device: int
     tracked: TrackedMotion
     seen: Seen
+    still_air: bool = False
 
     @property
     def n_frames(self) -> int:
@@ -51,7 +54,11 @@ class SeenClip:
 
 
 def seen_clips(
-    problems: Sequence[DiagnosisProblem], devices: Sequence[int], pipeline: Pipeline, progress: Progress
+    problems: Sequence[DiagnosisProblem],
+    devices: Sequence[int],
+    pipeline: Pipeline,
+    progress: Progress,
+    motions: Sequence[str] | None = None,
 ) -> list[SeenClip]:
     """Track every clip, and look at its images.
 
@@ -60,6 +67,7 @@ def seen_clips(
         devices: that filmed them.
         pipeline: runs the stages, or reads what they have found.
         progress: called with what is being done and the share that is done.
+        motions: what was done in the clips, see planned_clip.PERFORMANCES; None where nobody knows.
     """
     found = []
     for k, (problem, device) in enumerate(zip(problems, devices, strict=True)):
@@ -70,7 +78,8 @@ def seen_clips(
         stages = DiagnosisStages(problem, of_clip)
         tracked = pipeline.run(_named(stages.tracking(), k))
         seen = pipeline.run(_named(stages.image_cues(), k), tracked)
-        found.append(SeenClip(problem, device, tracked, seen))
+        still = motions is not None and motions[k] == STILL_AIR
+        found.append(SeenClip(problem, device, tracked, seen, still))
     return found
 
 
@@ -181,7 +190,9 @@ def _joint(clip: SeenClip, grid: ModelGrid, positions: Array, s: SessionSettings
     )
     shooting = shooting_of(problem.scene, grid, tracked, own, s.longest_substep)
     around = surroundings(problem.scene, grid)
-    return joint_clip(shooting, around, len(positions), clip.device, forces=s.fit.force > 0)
+    free = s.fit.force > 0
+    n_frames, still = len(positions), clip.still_air
+    return joint_clip(shooting, around, n_frames, clip.device, forces=free, still_air=still)
 
 
 def refining_stage(

@@ -8,6 +8,8 @@ the threads' stiffness is: what is hung on two corners of a net is nearly static
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -35,6 +37,7 @@ class TemplateTension(ElementTerm):
         tensions: (E,) [N].
     """
 
+    past_reach: ClassVar[int] = 0
     tensions: Tensor
 
     def __init__(self, tensions: Array) -> None:

@@ -19,6 +19,7 @@ class AirDrag(VertexEffect):
 
     NAME: ClassVar[str] = "air_drag"
     STAGE: ClassVar[Stage] = Stage.MECHANICS
+    past_reach: ClassVar[int] = 1
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
         Parameter("linear", "1/s", 0.0, 20.0, 1.0, "resistance in every direction"),
         Parameter("normal", "1/s", 0.0, 40.0, 2.0, "resistance across the surface"),

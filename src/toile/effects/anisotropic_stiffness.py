@@ -22,6 +22,7 @@ class AnisotropicStiffness(ElementEffect):
 
     NAME: ClassVar[str] = "anisotropic_stiffness"
     STAGE: ClassVar[Stage] = Stage.MECHANICS
+    past_reach: ClassVar[int] = 0
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
         Parameter("stretching", "1", -4.0, 4.0, 0.7, "natural logarithm of Y along axis 0 over axis 1"),
         Parameter("bending", "1", -4.0, 4.0, 0.7, "natural logarithm of B along axis 0 over axis 1"),

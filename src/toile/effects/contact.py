@@ -32,6 +32,7 @@ class Contact(VertexEffect):
     NAME: ClassVar[str] = "contact"
     STAGE: ClassVar[Stage] = Stage.MECHANICS
     SCOPE: ClassVar[Scope] = Scope.CLIP
+    past_reach: ClassVar[int] = 0
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
         Parameter("stiffness", "1/s²", 0.0, 1e7, 2e4, "k: force per depth and mass; g / k deep under weight"),
         Parameter("friction", "1", 0.0, 3.0, 0.4, "μ: tangential over normal force while it slides"),

@@ -17,6 +17,7 @@ class NonuniformStiffness(ElementEffect):
 
     NAME: ClassVar[str] = "nonuniform_stiffness"
     STAGE: ClassVar[Stage] = Stage.MECHANICS
+    past_reach: ClassVar[int] = 0
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = mode_parameters(-3.0, 3.0, 0.5, "logarithm of stiffness")
     SOURCE: ClassVar[str] = (
         "Ghanem and Spanos, Stochastic Finite Elements: A Spectral Approach, 1991 (expansion of material "

@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import torch
 from torch import Tensor
@@ -85,9 +85,12 @@ class VertexTerm(ABC):
     """A potential of every free vertex for itself.
 
     Attributes:
+        past_reach: on a grid, how many vertices away along each side what happened before a step changes the
+            force; an upper bound.
         values: numbers inside the term (n,) that derivatives are taken by.
     """
 
+    past_reach: ClassVar[int] = 2
     values: Tensor = torch.zeros(0, dtype=torch.float64)
 
     @abstractmethod
@@ -104,11 +107,13 @@ class ElementTerm(ABC):
     """A change of stiffness factors or rest shape; terms apply one after the other.
 
     Attributes:
+        past_reach: see VertexTerm.
         values: numbers inside the term (n,) that derivatives are taken by.
         tensions: that the term gives to edges which are as long as in the cloth's rest shape (E,) [N]; all
             terms know of them, see Elements.
     """
 
+    past_reach: ClassVar[int] = 2
     values: Tensor = torch.zeros(0, dtype=torch.float64)
     tensions: Tensor | None = None
 

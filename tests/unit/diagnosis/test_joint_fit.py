@@ -166,7 +166,8 @@ class TestLeftOutClip:
 class TestAliases:
     def test_tilted_gravity_is_a_wind_and_leaves_no_trace(self, still: Problem) -> None:
         effects = [CATALOGUE[name]() for name in ("air_drag", "gravity_tilt", "frame_rate")]
-        alias = session_alias(still.fitting, still.base, effects, 10.0, 1.0)
+        systems = still.fitting.systems(effects, still.base)
+        alias = session_alias(still.fitting, effects, systems, 10.0, 1.0)
         limits = alias.detection_limits
         assert np.allclose(np.diag(alias.matrix), 1)
         assert limits["air_drag"] is not None
