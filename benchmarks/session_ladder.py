@@ -30,7 +30,10 @@ from toile.diagnosis.pipeline import Pipeline
 from toile.diagnosis.problem import DiagnosisProblem
 from toile.diagnosis.results import KINDS
 from toile.diagnosis.session_diagnosis import learned_chances
+from toile.diagnosis.session_evidence import promising
+from toile.diagnosis.session_settings import SessionSettings
 from toile.diagnosis.session_stages import RefinedMotion, SeenClip, SessionModel, refined_motion, seen_clips
+from toile.diagnosis.session_weights import SessionWeights
 from toile.diagnosis.stage_store import StageStore
 from toile.diagnosis.stage_times import StageTimes
 from toile.diagnosis.stored_values import ValueStore
@@ -98,7 +101,7 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
         for k, c in enumerate(clips)
     ]
     settings, stiffness = asked.together, asked.clips[0].settings.stiffness
-    motion = _motion(clips, truth, rung, settings, stiffness)
+    motion = _motion(folder, clips, truth, rung, settings, stiffness)
     if "force" in rung:
         settings = replace(settings, fit=replace(settings.fit, force=settings.refining.force))
     width = clips[0].problem.scene.cloth_size[0]
@@ -108,43 +111,65 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
     fitting = SessionModel(clips, motion, settings, stiffness).fitting
     base = fitting.fitted((), fitting.start_fit())
     learned = learned_chances(clips, motion) or {}
+    seconds = sum((clip.n_frames - 1) / clip.problem.scene.fps for clip in clips)
+    moving = [effect for effect in effects if isinstance(effect, FORCES)]
+    fits = fitting.linearised(moving, base, fitting.systems(moving, base))
+    chosen = promising(base, fits, moving, seconds, SessionWeights.load(), settings.fitted)
     rows: list[dict[str, object]] = []
-    for effect in effects:
-        if isinstance(effect, FORCES):
-            began = time.process_time()
-            fit = fitting.fitted((effect,), base)
-            drop = base.misfit - fit.misfit
-            found = EffectEvidence.of(drop, fit.coefficients, fit.covariance, fit.size)
-            rows.append(
-                {
-                    "session": folder.name,
-                    "rung": rung,
-                    "position error [% of the width]": error / width,
-                    "seconds": sum((clip.n_frames - 1) / clip.problem.scene.fps for clip in clips),
-                    "base misfit": base.misfit,
-                    "effect": effect.NAME,
-                    "drop": drop,
-                    "occam": found.occam,
-                    "nats": found.nats(),
-                    "information": " ".join(f"{value:.5g}" for value in found.information),
-                    "slopes": " ".join(f"{value:.5g}" for value in found.slopes),
-                    "fitted size": found.fitted_size,
-                    "learned": learned.get(effect.NAME, float("nan")),
-                    "passes": len(fit.history) - len(base.history),
-                    "CPU [s]": time.process_time() - began,
-                }
-            )
+    for effect in moving:
+        began = time.process_time()
+        fit = fitting.fitted((effect,), base) if effect in chosen else fits[effect.NAME]
+        drop = base.misfit - fit.misfit
+        found = EffectEvidence.of(drop, fit.coefficients, fit.covariance, fit.size)
+        rows.append(
+            {
+                "session": folder.name,
+                "rung": rung,
+                "position error [% of the width]": error / width,
+                "seconds": seconds,
+                "base misfit": base.misfit,
+                "effect": effect.NAME,
+                "drop": drop,
+                "occam": found.occam,
+                "nats": found.nats(),
+                "information": " ".join(f"{value:.5g}" for value in found.information),
+                "slopes": " ".join(f"{value:.5g}" for value in found.slopes),
+                "fitted size": found.fitted_size,
+                "learned": learned.get(effect.NAME, float("nan")),
+                "passes": len(fit.history) - len(base.history),
+                "CPU [s]": time.process_time() - began,
+            }
+        )
     return rows
 
 
 def _motion(
-    clips: list[SeenClip], truth: list[np.ndarray], rung: str, settings: object, stiffness: object
+    folder: Path,
+    clips: list[SeenClip],
+    truth: list[np.ndarray],
+    rung: str,
+    settings: SessionSettings,
+    stiffness: tuple[float, float, float],
 ) -> RefinedMotion:
     if rung.startswith("true"):
         return RefinedMotion(truth, None)
     if rung.startswith("tracked"):
         return RefinedMotion([clip.tracked.positions[: clip.n_frames] for clip in clips], None)
-    return refined_motion(clips, settings, stiffness)  # type: ignore[arg-type]
+    return _refined(folder, clips, settings, stiffness)
+
+
+def _refined(
+    folder: Path, clips: list[SeenClip], settings: SessionSettings, stiffness: tuple[float, float, float]
+) -> RefinedMotion:
+    """Once for all rungs of a session."""
+    key = (folder, len(clips))
+    if key not in _REFINED:
+        _REFINED.clear()
+        _REFINED[key] = refined_motion(clips, settings, stiffness)
+    return _REFINED[key]
+
+
+_REFINED: dict[tuple[Path, int], RefinedMotion] = {}
 
 
 def summary(table: pd.DataFrame) -> pd.DataFrame:
@@ -181,8 +206,8 @@ def main() -> None:
     torch.set_num_threads(1)
     register_resolvers()
     rows: list[dict[str, object]] = []
-    for rung in given.rungs:
-        for session in given.sessions:
+    for session in given.sessions:
+        for rung in given.rungs:
             name, size, seed = session.split(":")
             kept = FOLDER / f"{name}_{float(size):g}_{seed}, {rung}.json"
             if not kept.is_file():
@@ -194,7 +219,7 @@ def main() -> None:
             print(
                 summary(pd.DataFrame(rows)).tail(1).to_string(index=False, header=len(rows) < 12), flush=True
             )
-    table = pd.DataFrame(rows)
+    table = pd.DataFrame(sorted(rows, key=lambda row: given.rungs.index(row["rung"])))
     table.to_csv(given.output.with_name("session_evidence.csv"), index=False, float_format="%.5g")
     write_text(given.output, page(table))
 

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from toile.atomic_file import written_atomically
 from toile.diagnosis.arrays import FRAMES_FILE, VERTICES_FILE
 from toile.diagnosis.decision import UNKNOWN, Calibration
-from toile.diagnosis.effect_evidence import EffectEvidence
 from toile.diagnosis.effect_sensitivities import FORCES
 from toile.diagnosis.findings import estimates
 from toile.diagnosis.fingerprint import fingerprint
@@ -39,7 +38,7 @@ from toile.diagnosis.record import (
 )
 from toile.diagnosis.results import KINDS
 from toile.diagnosis.session_alias import session_alias
-from toile.diagnosis.session_evidence import SessionEvidence, session_evidence
+from toile.diagnosis.session_evidence import SessionEvidence, promising, session_evidence
 from toile.diagnosis.session_settings import SessionSettings
 from toile.diagnosis.session_stages import (
     HypothesisStages,
@@ -49,7 +48,7 @@ from toile.diagnosis.session_stages import (
     refining_stage,
     seen_clips,
 )
-from toile.diagnosis.session_weights import MotionEvidence, SessionWeights
+from toile.diagnosis.session_weights import SessionWeights
 from toile.diagnosis.settings import DiagnosisSettings
 from toile.diagnosis.stage_store import StageStore
 from toile.diagnosis.stage_times import TIMES_FILE, StageTimes
@@ -141,9 +140,7 @@ def diagnose_session(
     progress("what every effect would change", 0.55)
     systems = model.fitting.systems(moving, base, workers)
     fits = model.fitting.linearised(moving, base, systems)
-    chosen = [
-        effect for effect in moving if effect.NAME in _promising(base, fits, duration, weights, together)
-    ]
+    chosen = promising(base, fits, moving, duration, weights, together.fitted)
     for k, effect in enumerate(chosen):
         share = 0.58 + 0.3 * (k + 1) / (len(chosen) + 1)
         fits[effect.NAME] = pipeline.run(stages.fit((effect,), share), motion, base)
@@ -189,23 +186,6 @@ def diagnose_session(
     progress("answer", 0.99)
     found = _Found(clips, model, base, fits, evidence, weights, alias, left_out, gains)
     return _report(found, effects, settings, together, calibration, session, folder)
-
-
-def _promising(
-    base: JointFit,
-    fits: Mapping[str, JointFit],
-    duration: float,
-    weights: SessionWeights,
-    together: SessionSettings,
-) -> set[str]:
-    """Effects that the linearised model says most for."""
-    own = {
-        name: EffectEvidence.of(base.misfit - fit.misfit, fit.coefficients, fit.covariance, fit.size)
-        for name, fit in fits.items()
-    }
-    evidence = MotionEvidence(base.misfit, own, duration)
-    ranked = sorted(fits, key=lambda name: -evidence.nats(name, weights))
-    return set(ranked[: together.fitted])
 
 
 def learned_chances(clips: Sequence[SeenClip], motion: RefinedMotion) -> dict[str, float] | None:

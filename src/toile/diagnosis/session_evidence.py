@@ -60,11 +60,7 @@ def session_evidence(
     """
     by_name = {effect.NAME: effect for effect in effects}
     drops = {name: base.misfit - fit.misfit for name, fit in fits.items()}
-    own = {
-        name: EffectEvidence.of(drops[name], fit.coefficients, fit.covariance, fit.size)
-        for name, fit in fits.items()
-    }
-    motion = MotionEvidence(base.misfit, own, duration, learned)
+    motion = _of_motion(base, fits, duration, learned)
     left = motion.left(weights)
     scale = max(1.0, left)
     findings = {
@@ -82,6 +78,39 @@ def session_evidence(
         logits[name] = motion.logit(name, weights)
     logits[UNKNOWN] = float(weights.strangeness * np.log(left / weights.strange))
     return SessionEvidence(findings, drops, _chances(logits), left)
+
+
+def promising(
+    base: JointFit,
+    fits: Mapping[str, JointFit],
+    effects: Sequence[Effect],
+    duration: float,
+    weights: SessionWeights,
+    most: int,
+) -> list[Effect]:
+    """Effects with most evidence.
+
+    Args:
+        base: the base model.
+        fits: of every effect, or what the linearised model says of it.
+        effects: that move the cloth.
+        duration: of all clips [s].
+        weights: see SessionWeights.
+        most: effects at most.
+    """
+    evidence = _of_motion(base, fits, duration, None)
+    ranked = sorted(fits, key=lambda name: -evidence.nats(name, weights))[:most]
+    return [effect for effect in effects if effect.NAME in ranked]
+
+
+def _of_motion(
+    base: JointFit, fits: Mapping[str, JointFit], duration: float, learned: Mapping[str, float] | None
+) -> MotionEvidence:
+    own = {
+        name: EffectEvidence.of(base.misfit - fit.misfit, fit.coefficients, fit.covariance, fit.size)
+        for name, fit in fits.items()
+    }
+    return MotionEvidence(base.misfit, own, duration, learned)
 
 
 def _of_images(effect: Effect, name: str, clips: Sequence[Mapping[str, Finding]]) -> Finding:
