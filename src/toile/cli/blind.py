@@ -253,7 +253,7 @@ def _grade_sessions(cfg: DictConfig, blind: BlindSet) -> None:
         "1": _predictions(cfg, one_clip=True),
         f"{clips}+1": _predictions(cfg, extended=True),
     }
-    there = {title: p for title, p in kinds.items() if title == str(clips) or p.list.is_file()}
+    there = {title: p for title, p in kinds.items() if p.list.is_file()} or {str(clips): kinds[str(clips)]}
     grade = grade_sessions(blind, there, SealKey.read(Path(cfg.key)), resamplings=int(cfg.bootstrap), seed=0)
     table = None if cfg.table is None else Path(cfg.table)
     for path in write_session_grade(grade, kinds[str(clips)].grade, table):

@@ -1,0 +1,154 @@
+"""What another clip is expected to tell, and how it would move."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from toile.diagnosis.joint_fit import JointClip, JointFitting, joint_clip
+from toile.diagnosis.next_clip import Known, expected_gain, expected_gains
+from toile.diagnosis.planned_clip import PERFORMANCES, planned_clip
+from toile.diagnosis.shooting import Shooting, ShootingSettings
+from toile.diagnosis.tracked import Tracked
+from toile.effects.base import Surroundings
+from toile.effects.catalogue import CATALOGUE
+from toile.generation.clip_plan import MOTIONS
+from toile.physics.cloth import grid_cloth, grid_material
+from toile.physics.implicit.integrators import BDF2
+from toile.physics.implicit.newton import NewtonSettings
+from toile.physics.implicit.simulator import ImplicitSimulator
+from toile.physics.rollout import rollout
+from toile.physics.state import State
+
+GRID, FRAMES, FPS, SUBSTEPS = (5, 5), 12, 25.0, 4
+MATERIAL = np.array([400.0, 2e-3, 1e-4])
+GRAVITY = np.array([0.0, 9.81, 0.0])
+HORIZONTAL = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+CHANCES = {"air_drag": 0.5, "gusts": 0.5}
+
+
+def known(place: int, mean: float = 3.0) -> Known:
+    at = np.array([place], np.intp)
+    return Known(np.array([mean]), np.array([[0.1]]), at, np.zeros(0, np.intp), 3.0, 0.0)
+
+
+def gain(information: np.ndarray, chances: dict[str, float] = CHANCES) -> float:
+    of_two = {"air_drag": known(0), "gusts": known(1)}
+    return expected_gain(of_two, information, chances, 1.0, 64, np.random.default_rng(0))
+
+
+class TestExpectedGain:
+    def test_a_clip_that_says_nothing_gains_nothing(self) -> None:
+        assert gain(np.zeros((2, 2))) == pytest.approx(0.0, abs=1e-9)
+
+    def test_a_clip_that_says_all_gains_the_whole_entropy(self) -> None:
+        assert gain(1e3 * np.eye(2)) == pytest.approx(np.log(2), abs=1e-3)
+
+    def test_more_information_gains_more(self) -> None:
+        gains = [gain(scale * np.eye(2)) for scale in (0.01, 0.1, 1.0)]
+        assert 0 < gains[0] < gains[1] < gains[2] < np.log(2)
+
+    def test_effects_with_one_and_the_same_trace_are_not_told_apart(self) -> None:
+        assert gain(np.ones((2, 2)) * 1e3) < 0.02
+
+    def test_a_clear_answer_has_little_to_gain(self) -> None:
+        assert gain(np.eye(2), {"air_drag": 0.999, "gusts": 0.001}) < 0.02
+
+    def test_hypotheses_without_coefficients_do_not_count_as_truth(self) -> None:
+        assert gain(np.eye(2), {"unknown": 0.9, "air_drag": 0.05, "gusts": 0.05}) < 0.5
+
+    def test_gusts_of_a_clip_in_still_air_are_not_there(self) -> None:
+        new = np.array([1], np.intp)
+        gusts = Known(np.array([2.0]), np.array([[0.1]]), np.array([0], np.intp), new, 3.0, 2.0)
+        chances, information = {"none": 0.5, "gusts": 0.5}, np.diag([0.0, 50.0])
+        windy, still = (
+            expected_gain(
+                {"gusts": gusts}, information, chances, 1.0, 64, np.random.default_rng(0), still_air=air
+            )
+            for air in (False, True)
+        )
+        assert windy > still + 0.1
+
+
+@pytest.fixture(scope="module")
+def hanging() -> JointClip:
+    """A cloth that hangs from two corners, known to 2 mm."""
+    cloth = grid_cloth(GRID, (0.3, 0.3), 0.15, (0, GRID[1] * (GRID[0] - 1)))
+    around = Surroundings(cloth, (0.3, 0.3), torch.from_numpy(GRAVITY), FPS, FRAMES)
+    i, j = torch.meshgrid(torch.arange(GRID[0]), torch.arange(GRID[1]), indexing="ij")
+    start = torch.stack((0.07 * i, 0.075 * j, 1 + 0.02 * j), -1).reshape(1, -1, 3).double()
+    h = 1 / FPS / SUBSTEPS
+    simulator = ImplicitSimulator(cloth, h, BDF2(), NewtonSettings(1e-6))
+    weight = cloth.masses[:, None] * torch.from_numpy(GRAVITY)
+    k = torch.from_numpy(MATERIAL)[:, None]
+    state = State.start(start, torch.zeros_like(start), h, simulator.n_past)
+    boundary = start[:, None, cloth.pinned].expand(1, FRAMES, -1, -1)
+    forces = weight.expand(1, FRAMES - 1, -1, -1)
+    with torch.no_grad():
+        motion = rollout(simulator, state, grid_material(k[0], k[1], k[2]), forces, boundary, SUBSTEPS)
+    x = motion.positions[0].numpy()
+    seen = [np.eye(3 * x.shape[1], dtype=np.float32) / 0.002**2] * FRAMES
+    tracked = Tracked(x, seen, np.zeros_like(x), x)
+    settings = ShootingSettings(modes=2, likelihood_weight=1.0, window=6)
+    pinned = x[:, cloth.pinned.numpy()]
+    model = ImplicitSimulator(cloth, h, BDF2(), NewtonSettings(1e-6))
+    shooting = Shooting(model, SUBSTEPS, GRAVITY, HORIZONTAL, GRID, pinned, tracked, settings)
+    return joint_clip(shooting, around, FRAMES)
+
+
+class TestPlannedClips:
+    def test_every_motion_of_the_sheet_can_be_planned(self) -> None:
+        assert set(PERFORMANCES) == set(MOTIONS)
+
+    @pytest.mark.parametrize("motion", PERFORMANCES)
+    def test_corners_do_what_is_asked_and_the_cloth_starts_at_rest(
+        self, hanging: JointClip, motion: str
+    ) -> None:
+        done = PERFORMANCES[motion]
+        clip, wind = planned_clip(hanging, motion, MATERIAL, 20)
+        x, boundary = clip.shooting.tracked.positions, clip.shooting.boundary
+        assert x.shape == (20, 25, 3)
+        pinned = clip.shooting.simulator.assembly.pinned
+        assert np.allclose(x[:, pinned], boundary, atol=1e-9)
+        moved = np.linalg.norm(boundary - boundary[0], axis=-1).max()
+        assert moved <= done.amplitude + 1e-12
+        assert (moved > 0.3 * done.amplitude) == (done.amplitude > 0)
+        assert np.linalg.norm(wind) == pytest.approx(done.wind)
+        assert clip.still_air == (motion == "fan_off")
+        assert np.linalg.norm(x[1] - x[0], axis=-1).max() < 0.004
+        assert sum(w.last - w.first for w in clip.windows) == 19
+        assert all(w.converged for w in clip.windows)
+
+    def test_what_is_turned_hangs_from_other_corners_in_the_same_hands(self, hanging: JointClip) -> None:
+        clip, _ = planned_clip(hanging, "turned", MATERIAL, 5)
+        old, new = (set(c.shooting.simulator.assembly.pinned.tolist()) for c in (hanging, clip))
+        assert new != old
+        assert new < {0, 4, 20, 24}
+        hands = hanging.shooting.tracked.positions[0][sorted(old)]
+        held = clip.shooting.tracked.positions[0][sorted(new)]
+        assert np.allclose(np.sort(hands, 0), np.sort(held, 0))
+
+
+def test_still_air_parts_tilted_gravity_from_a_wind(hanging: JointClip) -> None:
+    fitting = JointFitting([hanging], MATERIAL, np.zeros(3))
+    base = fitting.fitted((), fitting.start_fit())
+    effects = [CATALOGUE["gravity_tilt"](), CATALOGUE["air_drag"]()]
+    systems = fitting.systems(effects, base)
+    fits = {e.NAME: fitting.fitted((e,), base) for e in effects}
+    chances = {"none": 0.4, "gravity_tilt": 0.4, "air_drag": 0.2}
+    gains = expected_gains(
+        fitting, base, fits, effects, systems, chances, ("hang", "fan_off"), 1.0, 1.0, 32, 0
+    )
+    assert list(gains) == sorted(gains, key=lambda motion: -gains[motion])
+    tilt = fitting.layout(effects).places[0]
+
+    def known_of_tilt(motion: str) -> float:
+        clip, wind = planned_clip(hanging, motion, MATERIAL, FRAMES)
+        more = JointFitting([hanging, clip], MATERIAL, np.zeros(3))
+        alone = JointFitting([clip], MATERIAL, np.zeros(3))
+        expected = alone.expected(np.concatenate((np.zeros(3), wind)))
+        fisher = more.fisher(effects, [*systems, *alone.systems(effects, expected)])
+        return float(np.linalg.eigvalsh(fisher[np.ix_(tilt, tilt)]).min())
+
+    assert known_of_tilt("fan_off") > 10 * known_of_tilt("hang")
