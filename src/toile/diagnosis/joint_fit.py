@@ -394,7 +394,12 @@ class JointFitting:
             information, score = evidence.information(free, self.size)
             precision = information + np.eye(len(free)) / self.settings.prior_inflation**2
             covariance = np.asarray(np.linalg.inv(precision), np.float64)
-            best = self._bounded(alone, covariance @ score)
+            # Within the bounds: strengths cut off one by one would be worse than none.
+            low, high = self._reach(alone, self._placed(alone, base))
+            lower = positive_lower(0.5 * (precision + precision.T))
+            bounds = (low[alone.n_base :], high[alone.n_base :])
+            found_at = lsq_linear(lower.T, solve_triangular(lower, score, lower=True), bounds, method="bvls")
+            best = self._bounded(alone, found_at.x)
             drop = float(score @ best - 0.5 * best @ precision @ best)
             found[effect.NAME] = replace(
                 base,
