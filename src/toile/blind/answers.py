@@ -38,8 +38,8 @@ class Answer:
         one_answer: names that count as the verdict's effect: itself, and the rest of its class where that is
             within a declared one.
         classes: declared equivalence classes.
-        next_motion: what to record next, "" where nothing is said that could be done.
-        next_motions: the same and, after it, what would tell less, in that order.
+        next_motions: what to record next and, after it, what would tell less; () where nothing is said that
+            could be done.
         baselines: effect that each of other methods names.
     """
 
@@ -48,9 +48,13 @@ class Answer:
     candidates: tuple[str, ...]
     one_answer: tuple[str, ...]
     classes: tuple[tuple[str, ...], ...]
-    next_motion: str
     next_motions: tuple[str, ...]
     baselines: Mapping[str, str]
+
+    @property
+    def next_motion(self) -> str:
+        """What to record next, "" where nothing is said that could be done."""
+        return next(iter(self.next_motions), "")
 
     def same(self, name: str) -> frozenset[str]:
         """All names that are one answer with this one."""
@@ -130,7 +134,6 @@ def _answer(report: GapReport, added: Mapping[str, Any], following: Any) -> Answ
         candidates=tuple(map(str, added.get("set") or verdict.candidates)),
         one_answer=tuple(sorted(claimed if declared else {verdict.effect})),
         classes=tuple(c for c in classes if not {NONE, UNKNOWN} & set(c)),
-        next_motion=_motion(following),
         next_motions=_motions(following),
         baselines=baselines,
     )

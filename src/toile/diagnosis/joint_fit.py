@@ -369,9 +369,7 @@ class JointFitting:
             systems: of every clip.
         """
         layout = self.layout(effects)
-        embedded = [layout.embedded(one, c) for c, own in enumerate(systems) for one in own]
-        nothing = np.zeros(layout.n_base)
-        return Evidence(embedded, nothing, self._deviations(layout)).fisher(self.size)
+        return self._joined(layout, systems, np.zeros(layout.n_base)).fisher(self.size)
 
     def linearised(
         self, effects: Sequence[Effect], base: JointFit, systems: Sequence[Sequence[WindowSystem]]
@@ -384,8 +382,7 @@ class JointFitting:
             systems: of every clip around it, see ``systems``.
         """
         layout = self.layout(effects)
-        embedded = [layout.embedded(one, c) for c, own in enumerate(systems) for one in own]
-        evidence = Evidence(embedded, base.values, self._deviations(layout))
+        evidence = self._joined(layout, systems, base.values)
         found = {}
         for effect, places in zip(effects, layout.places, strict=True):
             alone = self.layout((effect,))
@@ -445,12 +442,20 @@ class JointFitting:
     def _evidence(
         self, layout: SharedLayout, place: JointFit, workers: Workers, *, motion: bool = True
     ) -> Evidence:
-        systems = [
-            layout.embedded(system, c)
-            for c in range(len(self.clips))
-            for system in self._systems(layout, place, c, workers, motion=motion)
-        ]
-        return Evidence(systems, place.values, self._deviations(layout), coefficients=place.coefficients)
+        clips = range(len(self.clips))
+        systems = [self._systems(layout, place, c, workers, motion=motion) for c in clips]
+        return self._joined(layout, systems, place.values, place.coefficients)
+
+    def _joined(
+        self,
+        layout: SharedLayout,
+        systems: Sequence[Sequence[WindowSystem]],
+        values: Array,
+        coefficients: Array | None = None,
+    ) -> Evidence:
+        """Evidence of all clips from the systems of each, see ``systems``."""
+        embedded = [layout.embedded(one, c) for c, own in enumerate(systems) for one in own]
+        return Evidence(embedded, values, self._deviations(layout), coefficients=coefficients)
 
     def _systems(
         self, layout: SharedLayout, place: JointFit, c: int, workers: Workers, *, motion: bool

@@ -144,6 +144,7 @@ def expected_gain(
     # Differences of large matrices; what falls below zero is rounding.
     spread = vectors * np.sqrt(np.clip(values, 0.0, None))
     information = spread @ spread.T
+    updates = {name: _Update(one, information) for name, one in known.items()}
     total, entropy = 0.0, 0.0
     for truth in names:
         if chances[truth] < _SMALLEST or (truth != NONE and truth not in known):
@@ -156,29 +157,31 @@ def expected_gain(
                 here = 0.0 if still_air else one.usual
                 coefficients[one.new] = here * rng.standard_normal(len(one.new))
             score = information @ coefficients + spread @ rng.standard_normal(len(information))
-            added = [
-                _added(known[name], information, score) / temperature if name in known else 0.0
-                for name in names
-            ]
+            added = [updates[name].nats(score) / temperature if name in known else 0.0 for name in names]
             entropy += chances[truth] / draws * _entropy(logits + added)
         total += chances[truth]
     return float(_entropy(logits) - entropy / total) if total else 0.0
 
 
-def _added(known: Known, information: Array, score: Array) -> float:
-    """Log evidence of an effect against none, from data of which it knows nothing yet [nats]."""
-    at = np.concatenate((known.own, known.new)).astype(np.intp)
-    n, m = len(known.own), len(known.new)
-    precision = np.zeros((n + m, n + m))
-    precision[:n, :n] = known.precision
-    precision[n:, n:] = np.eye(m) / known.size**2
-    mean = np.concatenate((known.mean, np.zeros(m)))
-    after = precision + information[np.ix_(at, at)]
-    right = precision @ mean + score[at]
-    gained = right @ np.linalg.solve(after, right) - mean @ precision @ mean
-    _, wider = np.linalg.slogdet(precision)
-    _, narrower = np.linalg.slogdet(after)
-    return float(0.5 * (gained + wider - narrower))
+class _Update:
+    """Bayes' rule for one effect and data that say so much; all but their score is known before they come."""
+
+    def __init__(self, known: Known, information: Array) -> None:
+        self._at = np.concatenate((known.own, known.new)).astype(np.intp)
+        n, m = len(known.own), len(known.new)
+        before = np.zeros((n + m, n + m))
+        before[:n, :n] = known.precision
+        before[n:, n:] = np.eye(m) / known.size**2
+        after = before + information[np.ix_(self._at, self._at)]
+        self._covariance = np.linalg.inv(after)
+        self._right = before[:, :n] @ known.mean
+        wider, narrower = np.linalg.slogdet(before)[1], np.linalg.slogdet(after)[1]
+        self._constant = float(wider - narrower - known.mean @ known.precision @ known.mean)
+
+    def nats(self, score: Array) -> float:
+        """Log evidence of the effect against none, from data of this score."""
+        right = self._right + score[self._at]
+        return 0.5 * float(right @ self._covariance @ right + self._constant)
 
 
 def _entropy(logits: Array) -> float:

@@ -230,8 +230,10 @@ def _report(
     )
     verdict = _of_class(verdict, evidence.chances, classes, settings)
     following = ""
-    if verdict.effect in (AMBIGUOUS, UNKNOWN) and found.gains:
-        best, gain = next(iter(found.gains.items()))
+    # A class that is one answer is clear where its members are not.
+    gains = found.gains if verdict.effect in (AMBIGUOUS, UNKNOWN) else {}
+    if gains:
+        best, gain = next(iter(gains.items()))
         if gain >= _LEAST_GAIN:
             following = best
             verdict = replace(verdict, next_recording=f"another clip, {best}: {MOTIONS[best]}")
@@ -273,7 +275,7 @@ def _report(
             _material(found),
             evidence.left,
             following,
-            dict(found.gains),
+            dict(gains),
         ),
     )
 
