@@ -11,6 +11,7 @@ import pytest
 import yaml
 
 from toile.blind.sealing import BlindSet, SealKey
+from toile.physics.simulator import SimulationError
 from toile.scenes.native import load_native
 from toile.scenes.session import load_session
 
@@ -64,6 +65,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     before = Path.cwd()
     os.chdir(folder)
     try:
+        # A key of its own each time would draw clips that now and then leave the image.
+        SealKey.of_seed(3).write(KEY)
         assert main(("blind", "make", *SMALL)) == 0
     finally:
         os.chdir(before)
@@ -152,6 +155,34 @@ def test_extending_keeps_what_it_has_made(blind) -> None:
     before = {p: p.read_bytes() for p in (SET / "extended").rglob("*") if p.is_file()}
     assert blind("extend").status == 0
     assert before == {p: p.read_bytes() for p in (SET / "extended").rglob("*") if p.is_file()}
+
+
+def test_what_cannot_be_made_gives_way_to_what_tells_less(blind, monkeypatch: pytest.MonkeyPatch) -> None:
+    from toile.cli import blind_sessions
+
+    tried, original = [], blind_sessions.make_spare_clip
+
+    def without_sway(setup, request, plan, *others):
+        tried.append(plan.motion)
+        if plan.motion == "sway":
+            raise SimulationError("the cloth leaves the image")
+        return original(setup, request, plan, *others)
+
+    monkeypatch.setattr(blind_sessions, "make_spare_clip", without_sway)
+    assert blind("run").status == 0
+    status, out, err = blind("extend")
+    assert status == 0, err
+    assert "0 of 3 sessions" in out
+    assert "leaves the image" in out + err
+    for path in PREDICTIONS.glob("*/diagnosis.json"):
+        values = json.loads(path.read_text())
+        values["verdict"]["next_recording"]["motions"] = ["sway", "hang"]
+        path.write_text(json.dumps(values))
+    shutil.rmtree(SET / "extended", ignore_errors=True)
+    (PREDICTIONS / "predictions.json").unlink()
+    assert blind("run").status == 0
+    assert "3 of 3 sessions" in blind("extend").out
+    assert set(tried) == {"sway", "hang"}
 
 
 def test_another_answer_after_extending_is_refused(blind) -> None:

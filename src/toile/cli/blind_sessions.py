@@ -43,6 +43,7 @@ from toile.generation.out_of_family.session_set import (
     write_opaque_session,
 )
 from toile.generation.out_of_family.sessions import SessionRequest, make_session, make_spare_clip
+from toile.physics.simulator import SimulationError
 from toile.scenes.atomic_folder import folder_written_atomically
 from toile.scenes.session import SESSION_FILE, Session, SessionClip, load_session
 
@@ -168,15 +169,39 @@ def extend_sessions(
         answer = read_answer(predictions.diagnosis(planned.name))
         # An engine that cannot do what tells most does what tells most of the rest.
         can = [m for m in answer.next_motions if m in MOTIONS and _can_do(planned.generator, m)]
-        motion = can[0] if can else answer.next_motion
-        if extended.is_there(planned.name):
-            made += 1
-        elif not can:
-            notes.append(f"{planned.name}: {f'no motion {motion!r}' if motion else 'no recording asked for'}")
-        else:
-            _extend(planned, motion, setup, blind, extended, key)
-            made += 1
+        asked = answer.next_motion
+        if not extended.is_there(planned.name):
+            if not can:
+                notes.append(
+                    f"{planned.name}: {f'no motion {asked!r}' if asked else 'no recording asked for'}"
+                )
+                continue
+            failure = _extend_by_one_of(planned, can, setup, blind, extended, key)
+            if failure:
+                notes.append(f"{planned.name}: {failure}")
+                continue
+        made += 1
     return made, notes
+
+
+def _extend_by_one_of(
+    planned: PlannedSession,
+    motions: Sequence[str],
+    setup: OutOfFamilySettings,
+    blind: BlindSet,
+    extended: BlindSet,
+    key: SealKey,
+) -> str:
+    """Make the first of these motions that can be made; returns why none can, or ""."""
+    failure = ""
+    for motion in motions:
+        try:
+            _extend(planned, motion, setup, blind, extended, key)
+        except SimulationError as error:
+            failure = f"{motion}: {error}"
+        else:
+            return ""
+    return failure
 
 
 def _extend(
