@@ -9,6 +9,7 @@ On a measure of the information provided by an experiment).
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -27,6 +28,8 @@ from toile.physics.simulator import SimulationError
 
 Array = NDArray[np.float64]
 Places = NDArray[np.intp]
+
+_log = logging.getLogger(__name__)
 
 _SMALLEST = 1e-4
 """Probability of hypotheses that are drawn from."""
@@ -87,7 +90,7 @@ def expected_gains(
         effects: that move the cloth.
         systems: of every clip around the base model, see JointFitting.systems.
         chances: probabilities of all hypotheses.
-        motions: that may be recorded; those that cannot be simulated are left out.
+        motions: that may be recorded; those that cannot be simulated are left out, and the log says so.
         temperature: evidence by which odds grow e-fold [nats].
         scale: by which misfits are too large.
         draws: of what a clip may say, for every hypothesis.
@@ -102,7 +105,8 @@ def expected_gains(
         try:
             n = len(fitting.start)
             clip, wind = planned_clip(like, motion, fitting.start * np.exp(base.values[:n]), n_frames)
-        except (SimulationError, FloatingPointError):
+        except SimulationError as error:
+            _log.warning("No clip of the kind %r could be planned: %s", motion, error)
             continue
         more = JointFitting([*fitting.clips, clip], fitting.start, base.values[:n], fitting.settings)
         alone = JointFitting([clip], fitting.start, base.values[:n], fitting.settings)

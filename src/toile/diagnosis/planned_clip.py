@@ -63,6 +63,9 @@ _FADE_IN = 0.3
 _SETTLING_STEP, _SETTLING_STEPS = 0.1, 60
 """With steps as long as these [s] the integrator's own damping brings a cloth to rest."""
 
+_FINER = 5
+"""Steps in place of one where those are too long."""
+
 
 def planned_clip(like: JointClip, motion: str, material: Array, n_frames: int) -> tuple[JointClip, Array]:
     """A clip of the same cloth before the same camera, simulated by the base model.
@@ -95,7 +98,8 @@ def planned_clip(like: JointClip, motion: str, material: Array, n_frames: int) -
     pinned = cloth.pinned.numpy()
     across = _ACROSS @ old.horizontal
 
-    def simulated(start: Array, step: float, wind: float, boundary: Array, substeps: int) -> Array:
+    def simulated(start: Array, interval: float, wind: float, boundary: Array, substeps: int) -> Array:
+        step = interval / substeps
         simulator = ImplicitSimulator(cloth, step, BDF2(), newton, old.simulator.terms)
         x = torch.from_numpy(start.copy())[None]
         state = State.start(x, torch.zeros_like(x), step, simulator.n_past)
@@ -107,13 +111,17 @@ def planned_clip(like: JointClip, motion: str, material: Array, n_frames: int) -
         return np.asarray(found.positions[0].numpy())
 
     still = np.repeat(begin[pinned][None], _SETTLING_STEPS + 1, 0)
-    start = simulated(begin, _SETTLING_STEP, done.before, still, 1)[-1]
+    try:
+        start = simulated(begin, _SETTLING_STEP, done.before, still, 1)[-1]
+    except SimulationError:
+        # A cloth that folds on its way needs shorter steps, and damps less in each.
+        start = simulated(begin, _SETTLING_STEP, done.before, still, _FINER)[-1]
     h = old.simulator.time_step
     times = np.arange(n_frames) * old.substeps * h
     fade = np.clip(times / _FADE_IN, 0, 1)
     path = done.amplitude * fade**2 * (3 - 2 * fade) * np.sin(2 * np.pi * done.frequency * times)
     boundary = begin[pinned] + path[:, None, None] * across
-    positions = simulated(start, h, done.wind, boundary, old.substeps)
+    positions = simulated(start, h * old.substeps, done.wind, boundary, old.substeps)
 
     information = old.tracked.information
     dense = [i.toarray() if isinstance(i, sparse.csr_matrix) else i for i in information]
