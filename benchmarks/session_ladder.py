@@ -2,7 +2,7 @@
 
 One thing after the other takes its true place: positions are the true ones, the tracked ones, or those that
 the base model refines; hypotheses have a free force or none; one clip counts or all. Sessions come from the
-package's out-of-family generator; they are kept in outputs/session_ladder, as is what is found, so that it
+package's out-of-family generator and, through the extra ``blender``, from Blender; they are kept in outputs/session_ladder, as is what is found, so that it
 goes on where it was.
 
     python benchmarks/session_ladder.py [--sessions air_drag:3:1 none:0:2 ...] [--rungs true tracked refined]
@@ -39,10 +39,15 @@ from toile.diagnosis.stage_times import StageTimes
 from toile.diagnosis.stored_values import ValueStore
 from toile.generation.clip_plan import DEFAULT_CLIPS
 from toile.generation.out_of_family.base_scene import OutOfFamilySettings
+from toile.generation.out_of_family.from_blender import make_clips_with_blender
 from toile.generation.out_of_family.session_set import write_opaque_session
 from toile.generation.out_of_family.sessions import SessionRequest, make_session
 
 FOLDER = Path("outputs") / "session_ladder"
+BLENDER = "blender-"
+"""Before the name of an effect: Blender makes the session."""
+_FORCE = 0.3
+"""Of each mode of the free force of a rung [m/s²]."""
 WITHOUT_TRACE = ("gravity_tilt", "anchor_slip")
 SESSIONS = (
     "none:0:2",
@@ -69,15 +74,30 @@ RUNGS = (
 )
 
 
-def made(name: str, size: float, seed: int) -> Path:
-    """A session of that effect and size [% of the width], with the truth beside its clips."""
-    folder = FOLDER / f"{name}_{size:g}_{seed}"
+def folder_of(session: str) -> Path:
+    """Where a session is kept that SESSIONS names."""
+    name, size, seed = session.split(":")
+    return FOLDER / f"{name}_{float(size):g}_{seed}"
+
+
+def cause_of(folder: str) -> str:
+    """The effect, or none, that made a session of that folder name."""
+    return folder.rsplit("_", 2)[0].removeprefix(BLENDER)
+
+
+def made(session: str) -> Path:
+    """A session that SESSIONS names, with the truth beside its clips."""
+    folder = folder_of(session)
+    name, size, seed = session.removeprefix(BLENDER).split(":")
     if not (folder / "truth_2.npy").is_file():
         setup = OutOfFamilySettings(
             templates=(), substeps=4, coarse_substeps=3, largest_grid_share=2.5, n_frames=80, fps=50.0
         )
-        effects = () if name == "none" else ((name, size),)
-        clips = make_session(setup, SessionRequest(folder.name, effects, seed, DEFAULT_CLIPS))
+        effects = () if name == "none" else ((name, float(size)),)
+        if session.startswith(BLENDER):
+            clips = make_clips_with_blender(folder.name, effects, int(seed), DEFAULT_CLIPS)
+        else:
+            clips = make_session(setup, SessionRequest(folder.name, effects, int(seed), DEFAULT_CLIPS))
         films = [(plan, clip.scene) for plan, clip in zip(DEFAULT_CLIPS, clips, strict=True)]
         write_opaque_session(folder.name, films, folder)
         for k, clip in enumerate(clips):
@@ -103,7 +123,7 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
     settings, stiffness = asked.together, asked.clips[0].settings.stiffness
     motion = _motion(folder, clips, truth, rung, settings, stiffness)
     if "force" in rung:
-        settings = replace(settings, fit=replace(settings.fit, force=settings.refining.force))
+        settings = replace(settings, fit=replace(settings.fit, force=_FORCE))
     width = clips[0].problem.scene.cloth_size[0]
     error = 100 * np.mean(
         [np.linalg.norm(x - t, axis=-1).mean() for x, t in zip(motion.positions, truth, strict=True)]
@@ -176,7 +196,7 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
     """Per rung: which effect leads, by how much, and how far nulls go."""
     rows = []
     for (rung, session), own in table.groupby(["rung", "session"], sort=False):
-        truth = str(session).rsplit("_", 2)[0]
+        truth = cause_of(str(session))
         best = own.sort_values("nats", ascending=False).iloc[0]
         of_truth = own.loc[own["effect"] == truth, "nats"]
         rivals = own.loc[own["effect"] != truth, "nats"].max()
@@ -208,12 +228,11 @@ def main() -> None:
     rows: list[dict[str, object]] = []
     for session in given.sessions:
         for rung in given.rungs:
-            name, size, seed = session.split(":")
-            kept = FOLDER / f"{name}_{float(size):g}_{seed}, {rung}.json"
+            kept = FOLDER / f"{folder_of(session).name}, {rung}.json"
             if not kept.is_file():
                 if given.known:
                     continue
-                folder = made(name, float(size), int(seed))
+                folder = made(session)
                 write_text(kept, json.dumps(fitted(folder, rung, FOLDER / f"{folder.name}_run")))
             rows += json.loads(kept.read_text())
             print(

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from session_ladder import cause_of
 
 from toile.atomic_file import write_text
 from toile.diagnosis.decision import NONE
@@ -37,7 +38,7 @@ def cases_of(table: pd.DataFrame) -> list[SessionCase]:
     """Evidence of every session on the rungs that a diagnosis has."""
     found = []
     for (_, session), own in table[table["rung"].isin(RUNGS)].groupby(["rung", "session"], sort=False):
-        cause = str(session).rsplit("_", 2)[0]
+        cause = cause_of(str(session))
         if cause in LEFT_OUT:
             continue
         by_name = own.set_index("effect")
@@ -92,7 +93,7 @@ def main() -> None:
         "|---|---|---|",
         *(
             f"| {name} | {getattr(weights, name):.3g} | {getattr(by_hand, name):.3g} |"
-            for name in ("usual", "threshold", "temperature", "learned", "strange", "strangeness")
+            for name in ("usual", "finest", "threshold", "temperature", "learned", "strange", "strangeness")
         ),
         "",
     ]

@@ -58,7 +58,7 @@ class JointFitSettings:
         force: deviation of each mode of a free force that every hypothesis has beside; 0 for none.
     """
 
-    passes: Count = 15
+    passes: Count = 25
     converged: NonNegative = 0.003
     nothing: NonNegative = 1.0
     longest_wind: Annotated[Positive, Unit("m/s²")] = 2.0
@@ -121,7 +121,7 @@ def joint_clip(
         forces: whether windows keep forces of their own, see JointFitSettings.
         still_air: whether nothing blew.
     """
-    bare = shooting if forces else shooting.without_forces()
+    bare = (shooting if forces else shooting.without_forces()).counting_frames_once()
     return JointClip(bare, around, device, tracked_windows(bare, n_frames), still_air)
 
 

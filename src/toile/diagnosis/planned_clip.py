@@ -138,7 +138,7 @@ def planned_clip(like: JointClip, motion: str, material: Array, n_frames: int) -
         tracked,
         old.settings,
         forces=old.forces,
-    )
+    ).counting_frames_once()
     wind = done.wind * _ACROSS
     base = Base(material, wind)
     windows = [shooting.simulate(w, w.standardised, base) for w in tracked_windows(shooting, n_frames)]

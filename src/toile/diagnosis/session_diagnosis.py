@@ -150,7 +150,7 @@ def diagnose_session(
     of_images = [clip.seen.findings for clip in clips]
     learned = learned_chances(clips, motion)
     evidence = session_evidence(base, fits, effects, of_images, duration, calibration, learned, weights)
-    scale = max(1.0, evidence.left)
+    scale = evidence.scale
     alias = session_alias(model.fitting, moving, systems, weights.threshold, scale)
     gains: dict[str, float] = {}
     if not is_clear(evidence.chances, settings.verdict):

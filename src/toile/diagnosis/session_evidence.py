@@ -28,12 +28,14 @@ class SessionEvidence:
         drops: of the misfit, without any penalty, of effects that move the cloth.
         chances: probabilities, NONE and UNKNOWN among them, most probable first.
         left: misfit of the best hypothesis over the usual one.
+        scale: by which misfits are too large for the noise that was found.
     """
 
     findings: dict[str, Finding]
     drops: dict[str, float]
     chances: dict[str, float]
     left: float
+    scale: float
 
 
 def session_evidence(
@@ -62,7 +64,7 @@ def session_evidence(
     drops = {name: base.misfit - fit.misfit for name, fit in fits.items()}
     motion = _of_motion(base, fits, duration, learned)
     left = motion.left(weights)
-    scale = max(1.0, left)
+    scale = motion.scale(weights)
     findings = {
         name: _of_images(by_name[name], name, of_images) for name in (of_images[0] if of_images else {})
     }
@@ -77,7 +79,7 @@ def session_evidence(
         findings[name] = finding(by_name[name], motion.nats(name, weights), fit.coefficients[:n], covariance)
         logits[name] = motion.logit(name, weights)
     logits[UNKNOWN] = float(weights.strangeness * np.log(left / weights.strange))
-    return SessionEvidence(findings, drops, _chances(logits), left)
+    return SessionEvidence(findings, drops, _chances(logits), left, scale)
 
 
 def promising(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Annotated
 
@@ -18,18 +19,19 @@ class RefiningSettings:
     """How the tracked motion is refined before hypotheses are compared.
 
     Tracking has forces of 10 m/s² at every vertex, so what images hardly see, the depth of a sheet that faces
-    the camera, wanders by percents of the width. The base model with smooth small forces does not, and the
-    image term is linearised anew around what it finds.
+    the camera, wanders by percents of the width. The base model whose windows may jump a little further than
+    when hypotheses are compared does not, and the image term is linearised anew around what it finds. Every
+    linearisation takes a part of the error away, so many short rounds do more than few long ones.
 
     Attributes:
         rounds: of fits, each with the image term linearised anew; 0 leaves the tracked motion as it is.
         passes: of each, at most.
-        force: deviation of each mode of the free force [m/s²].
+        jumps: factor on the deviations of the jumps.
     """
 
-    rounds: CountOrZero = 3
-    passes: Count = 10
-    force: Annotated[Positive, Unit("m/s²")] = 0.3
+    rounds: CountOrZero = 7
+    passes: Count = 3
+    jumps: Positive = 2.5
 
 
 @dataclass(frozen=True)
@@ -40,10 +42,14 @@ class SessionSettings:
         law: of the model's cloth, see physics.grid_laws.
         side: vertices along each side of the model, the scene's own at most.
         longest_substep: of the model [s].
-        window: length of the windows [s].
+        window: length of the windows [s]. Short ones are nearly linear in what is unknown, so a fit arrives
+            where with long ones it halts half-way.
+        jump_position: of each mode of what lies between the end of a window and the start of the next [m].
+        jump_velocity: of its velocities [m/s].
         modes: cosine modes along each side of a window's start.
         boundary_knot: time between knots of the boundary positions [s].
         boundary: deviation of the boundary positions at a knot [m]: images hardly see their depth.
+        likelihood_weight: of the images' information: errors of neighbouring points and frames are alike.
         refining: see RefiningSettings.
         model_error: see ModelError.
         fit: see JointFitSettings.
@@ -61,10 +67,13 @@ class SessionSettings:
     law: GridLaw = taut
     side: Annotated[int, Field(ge=4), Unit("vertices")] = 14
     longest_substep: Annotated[Positive, Unit("s")] = 0.01
-    window: Annotated[Positive, Unit("s")] = 0.32
+    window: Annotated[Positive, Unit("s")] = 0.04
+    jump_position: Annotated[Positive, Unit("m")] = 0.0001
+    jump_velocity: Annotated[Positive, Unit("m/s")] = 0.002
     modes: Count = 4
     boundary_knot: Annotated[Positive, Unit("s")] = 0.08
     boundary: Annotated[Positive, Unit("m")] = 0.01
+    likelihood_weight: Positive = 0.025
     refining: RefiningSettings = field(default_factory=RefiningSettings)
     model_error: ModelError = field(default_factory=ModelError)
     fit: JointFitSettings = field(default_factory=JointFitSettings)
@@ -76,3 +85,14 @@ class SessionSettings:
     alike: Annotated[float, Field(gt=0, le=1)] = 0.95
     draws: Count = 64
     seed: Seed = 0
+
+    def windows_at(self, fps: float) -> tuple[int, float]:
+        """Frames of a window, one at least, and the factor on the deviations of its jump.
+
+        Jumps are the steps of a random walk: their variance grows with the time between two of them.
+
+        Args:
+            fps: frames per second.
+        """
+        frames = max(1, round(self.window * fps))
+        return frames, math.sqrt(frames / fps / self.window)

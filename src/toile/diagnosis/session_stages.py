@@ -161,9 +161,14 @@ def refined_motion(
     """
     motion = RefinedMotion([clip.tracked.positions[: clip.n_frames] for clip in clips], None)
     s = settings.refining
-    forced = replace(settings, fit=replace(settings.fit, passes=s.passes, force=s.force))
+    looser = replace(
+        settings,
+        jump_position=s.jumps * settings.jump_position,
+        jump_velocity=s.jumps * settings.jump_velocity,
+        fit=replace(settings.fit, passes=s.passes),
+    )
     for _ in range(s.rounds):
-        model = SessionModel(clips, motion, forced, stiffness)
+        model = SessionModel(clips, motion, looser, stiffness)
         motion = model.refined(model.fitting.fitted((), model.fitting.start_fit(workers), workers))
     return motion
 
@@ -178,10 +183,13 @@ def _joint(clip: SeenClip, grid: ModelGrid, positions: Array, s: SessionSettings
     problem = clip.problem
     fps, of_clip = problem.scene.fps, problem.settings.shooting
     tracked = tracked_motion(problem.reconstruction, positions, grid, problem.image_term())
-    tracked = softened(tracked, grid.cloth_size[0], fps, of_clip.likelihood_weight, s.model_error)
+    tracked = softened(tracked, grid.cloth_size[0], fps, s.likelihood_weight, s.model_error)
+    window, jumps = s.windows_at(fps)
     own = replace(
         of_clip,
-        window=max(2, round(s.window * fps)),
+        window=window,
+        jump_position=jumps * s.jump_position,
+        jump_velocity=jumps * s.jump_velocity,
         boundary_knot=max(1, round(s.boundary_knot * fps)),
         force_knot=max(1, round(s.window * fps / 2)),
         boundary=s.boundary,

@@ -37,6 +37,8 @@ class SessionWeights:
 
     Attributes:
         usual: misfit that a right model leaves, per frame at 25 frames a second [nats].
+        finest: share of it below which a smaller misfit does not make differences count for more: the noise
+            of a clip that its best hypothesis explains well is smaller than was thought.
         threshold: evidence at which an effect and none are equally probable [nats].
         temperature: evidence by which the odds of an effect grow e-fold [nats].
         learned: weight of the learned decision's log odds among effects.
@@ -46,6 +48,7 @@ class SessionWeights:
     """
 
     usual: float = 3.0
+    finest: float = 1.0
     threshold: float = 12.0
     temperature: float = 5.0
     learned: float = 1.0
@@ -103,8 +106,11 @@ class MotionEvidence:
 
     def nats(self, name: str, weights: SessionWeights) -> float:
         """Log evidence of an effect against the base model."""
-        # What even the best hypothesis is wrong by is no noise of the size that was thought.
-        return self.effects[name].nats(max(1.0, self.left(weights)))
+        return self.effects[name].nats(self.scale(weights))
+
+    def scale(self, weights: SessionWeights) -> float:
+        """By how much all misfits are too large: what even the best hypothesis is wrong by is the noise."""
+        return max(weights.finest, self.left(weights))
 
     def logit(self, name: str, weights: SessionWeights) -> float:
         """Log odds of an effect against none."""
@@ -136,7 +142,7 @@ def learnt_weights(cases: Sequence[SessionCase], prior: SessionWeights | None = 
             ``strangeness`` stay: they need sessions whose cause is outside the catalogue.
     """
     begin = SessionWeights() if prior is None else prior
-    names = ("usual", "threshold", "temperature", "learned")
+    names = ("usual", "finest", "threshold", "temperature", "learned")
     start = np.log([getattr(begin, name) for name in names])
 
     def of(logs: Array) -> SessionWeights:

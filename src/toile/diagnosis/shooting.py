@@ -212,6 +212,8 @@ class Shooting:
         self.n_fields = len(self.fields)
         flat = self.fields.reshape(self.n_fields, -1)
         self._to_modes = np.linalg.solve(flat @ flat.T, flat)
+        self._to_modes_single = self._to_modes.astype(np.float32)
+        self.frames_once = False
         self.n_pinned = len(simulator.cloth.pinned)
         pinned = simulator.assembly.pinned
         size = float(np.linalg.norm(np.ptp(tracked.positions[0], axis=0)))
@@ -253,6 +255,15 @@ class Shooting:
         """The same problem with windows of so many frames."""
         other = copy.copy(self)
         other.settings = replace(self.settings, window=frames)
+        return other
+
+    def counting_frames_once(self) -> Shooting:
+        """The same problem, in which a frame where two windows meet counts for the first of them alone.
+
+        With short windows there are many such frames.
+        """
+        other = copy.copy(self)
+        other.frames_once = True
         return other
 
     def pushed(self, field: Array) -> Shooting:
@@ -382,7 +393,11 @@ class Shooting:
     def image_cost(self, window: WindowMotion) -> float:
         """Negative log-likelihood of a window's images, up to a constant."""
         frames = window.positions[:: self.substeps]
-        return self.weight * sum(self.tracked.cost(window.first + i, x) for i, x in enumerate(frames))
+        counted = range(self._first_counted(window), len(frames))
+        return self.weight * sum(self.tracked.cost(window.first + i, frames[i]) for i in counted)
+
+    def _first_counted(self, window: WindowMotion) -> int:
+        return 1 if self.frames_once and window.first > 0 else 0
 
     def cost(self, window: WindowMotion) -> float:
         """Negative log-posterior of a window's images and local unknowns, up to a constant."""
@@ -427,9 +442,11 @@ class Shooting:
     def _in_jumps(self, positions: NDArray[np.floating], velocities: NDArray[np.floating]) -> Array:
         """Modes of positions (3N, R) [m] and velocities [m/s], in deviations of a jump (2 n_fields, R)."""
         s = self.settings
+        # In the precision of what is given: tangents are single.
+        modes = self._to_modes_single if positions.dtype == np.float32 else self._to_modes
         return np.concatenate(
-            (self._to_modes @ positions / s.jump_position, self._to_modes @ velocities / s.jump_velocity)
-        )
+            (modes @ positions / s.jump_position, modes @ velocities / s.jump_velocity)
+        ).astype(np.float64)
 
     @denormals_flushed()
     def normal(
@@ -507,6 +524,8 @@ class Shooting:
             substep_changes.append(first[0])
         of_frames = motion.tangents(0, n, sub, loads, start, speed, substep_changes)
         for i, end in enumerate(chain([first], of_frames)):
+            if i < self._first_counted(window):
+                continue
             moved = end[0]
             f = window.first + i
             apparent = seen(f, frames[i])

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 import torch
 
+from toile.diagnosis.base_fit import base_of, base_sensitivities, local_scales, nothing_seen
 from toile.diagnosis.joint_fit import JointFit, JointFitSettings, JointFitting, SharedLayout, joint_clip
 from toile.diagnosis.left_out import left_out_shrinks
 from toile.diagnosis.session_alias import session_alias
+from toile.diagnosis.session_settings import SessionSettings
 from toile.diagnosis.shooting import Shooting, ShootingSettings
 from toile.diagnosis.softened import ModelError, softened
 from toile.diagnosis.tracked import Tracked
@@ -127,6 +129,65 @@ class TestFits:
         start = loose.start_fit()
         bought = loose.fitted((), start).misfit - loose.fitted((drag(0.0),), start).misfit
         assert bought < 0.3 * (dragged.base.misfit - dragged.drag.misfit)
+
+
+class TestShortWindows:
+    """Windows of a frame or two: nearly linear, so that fits arrive."""
+
+    def test_a_frame_where_windows_meet_counts_once(self) -> None:
+        shooting, around = clip(WINDS[0], ())
+        one = joint_clip(shooting.with_window(2), around, FRAMES)
+        frames = shooting.tracked.positions + np.linspace(0.001, 0.003, FRAMES)[:, None, None]
+        sub = shooting.substeps
+        moved = [
+            replace(w, positions=np.repeat(frames[w.first : w.last + 1], sub, 0)[: -sub + 1])
+            for w in one.windows
+        ]
+        once = sum(one.shooting.image_cost(window) for window in moved)
+        assert once == pytest.approx(sum(shooting.tracked.cost(f, x) for f, x in enumerate(frames)))
+        assert sum(shooting.image_cost(window) for window in moved) > 1.3 * once
+
+    def test_its_gradient_is_that_of_what_counts(self) -> None:
+        shooting, around = clip(WINDS[0], ())
+        one = joint_clip(shooting.with_window(3), around, FRAMES)
+        base = base_of(1.2 * STIFFNESS, np.array([0.0, 0.0, 0.0, *WINDS[0]]))
+        window = one.shooting.simulate(one.windows[1], one.windows[1].standardised, base)
+        shared = base_sensitivities(one.shooting, base)
+        _, gradient, _ = one.shooting.normal(window, base, shared, nothing_seen, 5)
+        scales = local_scales(one.shooting, 3)
+        for place in (0, one.shooting.n_fields + 1):
+            step = np.zeros(len(window.standardised))
+            step[place] = 1e-3
+            costs = [
+                one.shooting.image_cost(one.shooting.simulate(window, window.standardised + d, base))
+                for d in (step, -step)
+            ]
+            slope = (costs[0] - costs[1]) / 2e-3
+            assert slope == pytest.approx(scales[place] * gradient[5 + place], rel=0.03)
+
+    def test_short_ones_arrive_where_long_ones_halt(self) -> None:
+        shooting, around = clip(WINDS[0], ())
+        found = {}
+        for frames in (1, 12):
+            jumps = np.sqrt(frames / 12)
+            settings = replace(
+                shooting.settings,
+                window=frames,
+                jump_position=jumps * shooting.settings.jump_position,
+                jump_velocity=jumps * shooting.settings.jump_velocity,
+            )
+            other = shooting.with_window(frames)
+            other.settings = settings
+            fitting = JointFitting([joint_clip(other, around, FRAMES)], 20 * STIFFNESS, np.zeros(3))
+            found[frames] = fitting.fitted((), fitting.start_fit())
+        print({k: (v.misfit, v.values, len(v.history)) for k, v in found.items()})
+        assert found[1].misfit < 0.5 * found[12].misfit
+
+    def test_jumps_of_longer_windows_are_larger(self) -> None:
+        settings = SessionSettings(window=0.04)
+        assert settings.windows_at(50) == (2, pytest.approx(1.0))
+        assert settings.windows_at(25) == (1, pytest.approx(1.0))
+        assert settings.windows_at(12.5) == (1, pytest.approx(2**0.5))
 
 
 class TestSharedUnknowns:

@@ -57,6 +57,13 @@ def test_a_model_that_is_wrong_anyhow_says_less() -> None:
     assert bad.nats("air_drag", weights) < good.nats("air_drag", weights) / 4
 
 
+def test_where_the_best_model_is_nearly_right_differences_count_for_more() -> None:
+    coarse, fine = SessionWeights(), SessionWeights(finest=0.25)
+    clean, rough = evidence((40.0, 6.0, 5.0), 60.0), evidence((40.0, 6.0, 5.0), 600.0)
+    assert clean.nats("air_drag", fine) > 3 * clean.nats("air_drag", coarse)
+    assert rough.nats("air_drag", fine) == rough.nats("air_drag", coarse)
+
+
 def test_more_noise_in_the_nulls_asks_for_more_evidence() -> None:
     quiet, noisy = learnt_weights(cases(1.0, 30.0)), learnt_weights(cases(12.0, 30.0))
     needed = [weights.threshold + 2 * weights.temperature for weights in (quiet, noisy)]
