@@ -2,8 +2,8 @@
 
 One thing after the other takes its true place: positions are the true ones, the tracked ones, or those that
 the base model refines; hypotheses have a free force or none; one clip counts or all. Sessions come from the
-package's out-of-family generator and, through the extra ``blender``, from Blender; they are kept in outputs/session_ladder, as is what is found, so that it
-goes on where it was.
+package's out-of-family generator and, through the extra ``blender``, from Blender. They are kept in
+outputs/session_ladder, as is what is found, so that it goes on where it was.
 
     python benchmarks/session_ladder.py [--sessions air_drag:3:1 none:0:2 ...] [--rungs true tracked refined]
 """
