@@ -32,7 +32,14 @@ from toile.diagnosis.results import KINDS
 from toile.diagnosis.session_diagnosis import learned_chances
 from toile.diagnosis.session_evidence import promising
 from toile.diagnosis.session_settings import SessionSettings
-from toile.diagnosis.session_stages import RefinedMotion, SeenClip, SessionModel, refined_motion, seen_clips
+from toile.diagnosis.session_stages import (
+    RefinedMotion,
+    SeenClip,
+    SessionModel,
+    refined_motion,
+    seen_clips,
+    with_error_found,
+)
 from toile.diagnosis.session_weights import SessionWeights
 from toile.diagnosis.stage_store import StageStore
 from toile.diagnosis.stage_times import StageTimes
@@ -128,13 +135,17 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
     error = 100 * np.mean(
         [np.linalg.norm(x - t, axis=-1).mean() for x, t in zip(motion.positions, truth, strict=True)]
     )
-    fitting = SessionModel(clips, motion, settings, stiffness).fitting
+    if motion.error is None:
+        motion = with_error_found(clips, motion, settings, stiffness)
+    model = SessionModel(clips, motion, settings, stiffness)
+    fitting = model.fitting
     base = fitting.fitted((), fitting.start_fit())
+    errors = model.errors(base)
     learned = learned_chances(clips, motion) or {}
     seconds = sum((clip.n_frames - 1) / clip.problem.scene.fps for clip in clips)
     moving = [effect for effect in effects if isinstance(effect, FORCES)]
     fits = fitting.linearised(moving, base, fitting.systems(moving, base))
-    chosen = promising(base, fits, moving, seconds, SessionWeights.load(), settings.fitted)
+    chosen = promising(base, fits, moving, errors, seconds, SessionWeights.load(), settings.fitted)
     rows: list[dict[str, object]] = []
     for effect in moving:
         began = time.process_time()
@@ -148,6 +159,9 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
                 "position error [% of the width]": error / width,
                 "seconds": seconds,
                 "base misfit": base.misfit,
+                "cost of errors": errors.cost,
+                "expected cost": errors.expected,
+                "share": errors.share,
                 "effect": effect.NAME,
                 "drop": drop,
                 "occam": found.occam,

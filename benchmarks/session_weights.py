@@ -16,6 +16,7 @@ from session_ladder import cause_of
 from toile.atomic_file import write_text
 from toile.diagnosis.decision import NONE
 from toile.diagnosis.effect_evidence import EffectEvidence
+from toile.diagnosis.model_errors import ModelErrors
 from toile.diagnosis.session_weights import (
     SHIPPED,
     MotionEvidence,
@@ -44,7 +45,7 @@ def cases_of(table: pd.DataFrame) -> list[SessionCase]:
         by_name = own.set_index("effect")
         learned = by_name["learned"].dropna().to_dict() or None
         evidence = MotionEvidence(
-            float(own["base misfit"].iloc[0]),
+            ModelErrors(*(float(own[key].iloc[0]) for key in ("cost of errors", "expected cost", "share"))),
             {str(name): _effect(row) for name, row in by_name.iterrows()},
             float(own["seconds"].iloc[0]),
             learned,

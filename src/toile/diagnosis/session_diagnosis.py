@@ -140,7 +140,8 @@ def diagnose_session(
     progress("what every effect would change", 0.55)
     systems = model.fitting.systems(moving, base, workers)
     fits = model.fitting.linearised(moving, base, systems)
-    chosen = promising(base, fits, moving, duration, weights, together.fitted)
+    errors = model.errors(base)
+    chosen = promising(base, fits, moving, errors, duration, weights, together.fitted)
     for k, effect in enumerate(chosen):
         share = 0.58 + 0.3 * (k + 1) / (len(chosen) + 1)
         fits[effect.NAME] = pipeline.run(stages.fit((effect,), share), motion, base)
@@ -149,7 +150,9 @@ def diagnose_session(
     calibration = Calibration.load(None if settings.calibration is None else Path(settings.calibration))
     of_images = [clip.seen.findings for clip in clips]
     learned = learned_chances(clips, motion)
-    evidence = session_evidence(base, fits, effects, of_images, duration, calibration, learned, weights)
+    evidence = session_evidence(
+        base, fits, effects, of_images, errors, duration, calibration, learned, weights
+    )
     scale = evidence.scale
     alias = session_alias(model.fitting, moving, systems, weights.threshold, scale)
     gains: dict[str, float] = {}

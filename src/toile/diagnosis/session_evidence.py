@@ -13,6 +13,7 @@ from toile.diagnosis.decision import NONE, UNKNOWN, Calibration
 from toile.diagnosis.effect_evidence import EffectEvidence
 from toile.diagnosis.findings import Finding, finding
 from toile.diagnosis.joint_fit import JointFit
+from toile.diagnosis.model_errors import ModelErrors
 from toile.diagnosis.session_weights import MotionEvidence, SessionWeights
 from toile.effects.base import Effect, Scope
 
@@ -27,7 +28,7 @@ class SessionEvidence:
         findings: of every candidate; log evidence in nats against the base model.
         drops: of the misfit, without any penalty, of effects that move the cloth.
         chances: probabilities, NONE and UNKNOWN among them, most probable first.
-        left: misfit of the best hypothesis over the usual one.
+        left: errors of the best hypothesis over the usual ones, squared.
         scale: by which misfits are too large for the noise that was found.
     """
 
@@ -43,6 +44,7 @@ def session_evidence(
     fits: Mapping[str, JointFit],
     effects: Sequence[Effect],
     of_images: Sequence[Mapping[str, Finding]],
+    errors: ModelErrors,
     duration: float,
     calibration: Calibration,
     learned: Mapping[str, float] | None,
@@ -55,6 +57,7 @@ def session_evidence(
         fits: of effects that move the cloth, by name.
         effects: all candidates.
         of_images: findings of every clip without a model of the motion, by name.
+        errors: of the base model.
         duration: of all clips [s].
         calibration: of the images' findings.
         learned: probabilities of the learned decision by label, None where there is none.
@@ -62,8 +65,8 @@ def session_evidence(
     """
     by_name = {effect.NAME: effect for effect in effects}
     drops = {name: base.misfit - fit.misfit for name, fit in fits.items()}
-    motion = _of_motion(base, fits, duration, learned)
-    left = motion.left(weights)
+    motion = _of_motion(base, fits, errors, duration, learned)
+    left = motion.strangeness(weights)
     scale = motion.scale(weights)
     findings = {
         name: _of_images(by_name[name], name, of_images) for name in (of_images[0] if of_images else {})
@@ -86,6 +89,7 @@ def promising(
     base: JointFit,
     fits: Mapping[str, JointFit],
     effects: Sequence[Effect],
+    errors: ModelErrors,
     duration: float,
     weights: SessionWeights,
     most: int,
@@ -96,23 +100,28 @@ def promising(
         base: the base model.
         fits: of every effect, or what the linearised model says of it.
         effects: that move the cloth.
+        errors: of the base model.
         duration: of all clips [s].
         weights: see SessionWeights.
         most: effects at most.
     """
-    evidence = _of_motion(base, fits, duration, None)
+    evidence = _of_motion(base, fits, errors, duration, None)
     ranked = sorted(fits, key=lambda name: -evidence.nats(name, weights))[:most]
     return [effect for effect in effects if effect.NAME in ranked]
 
 
 def _of_motion(
-    base: JointFit, fits: Mapping[str, JointFit], duration: float, learned: Mapping[str, float] | None
+    base: JointFit,
+    fits: Mapping[str, JointFit],
+    errors: ModelErrors,
+    duration: float,
+    learned: Mapping[str, float] | None,
 ) -> MotionEvidence:
     own = {
         name: EffectEvidence.of(base.misfit - fit.misfit, fit.coefficients, fit.covariance, fit.size)
         for name, fit in fits.items()
     }
-    return MotionEvidence(base.misfit, own, duration, learned)
+    return MotionEvidence(errors, own, duration, learned)
 
 
 def _of_images(effect: Effect, name: str, clips: Sequence[Mapping[str, Finding]]) -> Finding:

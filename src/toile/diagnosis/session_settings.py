@@ -51,7 +51,8 @@ class SessionSettings:
         boundary: deviation of the boundary positions at a knot [m]: images hardly see their depth.
         likelihood_weight: of the images' information: errors of neighbouring points and frames are alike.
         refining: see RefiningSettings.
-        model_error: see ModelError.
+        model_error: see ModelError; its share is where the search for it begins.
+        error_rounds: fits of the base model in which that share is found; 0 leaves it as it is.
         fit: see JointFitSettings.
         fitted: hypotheses that are fitted, those with most evidence in the model linearised around the
             base; the others keep that evidence.
@@ -76,6 +77,7 @@ class SessionSettings:
     likelihood_weight: Positive = 0.025
     refining: RefiningSettings = field(default_factory=RefiningSettings)
     model_error: ModelError = field(default_factory=ModelError)
+    error_rounds: CountOrZero = 3
     fit: JointFitSettings = field(default_factory=JointFitSettings)
     fitted: Count = 5
     refined: Count = 2

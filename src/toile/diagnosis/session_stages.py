@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from toile.diagnosis.fingerprint import fingerprint
 from toile.diagnosis.joint_fit import JointClip, JointFit, JointFitting, joint_clip
 from toile.diagnosis.mechanics import shooting_of, start_material, surroundings
+from toile.diagnosis.model_errors import ModelErrors, model_errors, with_share
 from toile.diagnosis.model_grid import ModelGrid, model_grid
 from toile.diagnosis.pipeline import Pipeline, PipelineStage, Progress
 from toile.diagnosis.planned_clip import STILL_AIR
@@ -95,10 +96,12 @@ class RefinedMotion:
         positions: of every clip, on the scene's grid (F, N, 3) [m].
         material: log ratios of the base model's numbers to their start values (P,); None where none was
             fitted.
+        error: of the base model on it, root mean square over the cloth's width; None: as the settings say.
     """
 
     positions: list[Array]
     material: Array | None
+    error: float | None = None
 
 
 class SessionModel:
@@ -118,6 +121,7 @@ class SessionModel:
         settings: SessionSettings,
         stiffness: tuple[float, float, float],
     ) -> None:
+        settings = replace(settings, model_error=with_share(settings.model_error, motion.error))
         self.clips, self.settings = list(clips), settings
         self.grids = [_grid(clip, settings) for clip in clips]
         start = start_material(self.grids[0], stiffness)
@@ -134,6 +138,13 @@ class SessionModel:
     def width(self) -> float:
         """Of the cloth [m]."""
         return self.grids[0].cloth_size[0]
+
+    def errors(self, fit: JointFit) -> ModelErrors:
+        """Smooth errors of a fit in all clips."""
+        return ModelErrors.of_all(
+            model_errors(clip.shooting, windows, self.width, self.settings.model_error)
+            for clip, windows in zip(self.fitting.clips, fit.windows, strict=True)
+        )
 
     def refined(self, fit: JointFit) -> RefinedMotion:
         """The motion of a fit, on the scenes' grids."""
@@ -170,6 +181,33 @@ def refined_motion(
     for _ in range(s.rounds):
         model = SessionModel(clips, motion, looser, stiffness)
         motion = model.refined(model.fitting.fitted((), model.fitting.start_fit(workers), workers))
+    return with_error_found(clips, motion, settings, stiffness, workers)
+
+
+def with_error_found(
+    clips: Sequence[SeenClip],
+    motion: RefinedMotion,
+    settings: SessionSettings,
+    stiffness: tuple[float, float, float],
+    workers: Workers = ALONE,
+) -> RefinedMotion:
+    """The motion with the size of the base model's errors on it, and the material that goes with it.
+
+    Args:
+        clips: tracked.
+        motion: refined, or true.
+        settings: see SessionSettings.
+        stiffness: where fits begin.
+        workers: share the windows of a clip.
+    """
+    base: JointFit | None = None
+    for _ in range(settings.error_rounds):
+        model = SessionModel(clips, motion, settings, stiffness)
+        fitting = model.fitting
+        start = fitting.start_fit(workers) if base is None else fitting.costed((), base)
+        base = fitting.fitted((), start, workers)
+        found = model.errors(base).found
+        motion = replace(motion, error=found, material=base.values[: len(fitting.start)])
     return motion
 
 

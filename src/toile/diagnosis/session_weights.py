@@ -20,12 +20,16 @@ from scipy.special import log_softmax
 from toile.atomic_file import write_text
 from toile.diagnosis.decision import NONE
 from toile.diagnosis.effect_evidence import EffectEvidence
+from toile.diagnosis.model_errors import ModelErrors
 from toile.errors import InputError
 from toile.json_file import read_json_object
 
 Array = NDArray[np.float64]
 
 SHIPPED = Path(__file__).with_name("session_weights.json")
+
+USUAL_SHARE = 0.0025
+"""Errors that a base model of an unknown cloth may have [widths]."""
 
 _LEAST = 1e-4
 """Probability of the learned decision that says no more, and share of the usual misfit that does."""
@@ -36,19 +40,18 @@ class SessionWeights:
     """How evidence of the motion becomes a probability.
 
     Attributes:
-        usual: misfit that a right model leaves, per frame at 25 frames a second [nats].
-        finest: share of it below which a smaller misfit does not make differences count for more: the noise
-            of a clip that its best hypothesis explains well is smaller than was thought.
+        usual: what errors of the base model's size cost a right model, over what they are expected to.
+        finest: share of it below which smaller errors do not make differences count for more.
         threshold: evidence at which an effect and none are equally probable [nats].
         temperature: evidence by which the odds of an effect grow e-fold [nats].
         learned: weight of the learned decision's log odds among effects.
-        strange: how many times the usual misfit the best hypothesis leaves where something unknown and none
-            are equally probable.
+        strange: squared errors that the best hypothesis leaves, over those of USUAL_SHARE, where something
+            unknown and none are equally probable.
         strangeness: e-folds of the odds of something unknown for each logarithm beyond that.
     """
 
-    usual: float = 3.0
-    finest: float = 1.0
+    usual: float = 1.0
+    finest: float = 0.3
     threshold: float = 12.0
     temperature: float = 5.0
     learned: float = 1.0
@@ -86,23 +89,26 @@ class MotionEvidence:
     """What the clips of a session say about effects that move the cloth.
 
     Attributes:
-        base: misfit of the base model [nats].
+        base: smooth errors of the base model.
         effects: what the fit of every effect says.
         duration: of all clips [s].
         learned: probabilities of the learned decision by label, None where there is none.
     """
 
-    base: float
+    base: ModelErrors
     effects: Mapping[str, EffectEvidence]
     duration: float
     learned: Mapping[str, float] | None = None
 
     def left(self, weights: SessionWeights) -> float:
-        """Misfit of the best hypothesis over the usual one."""
-        usual = weights.usual * self.duration * 25
-        # Below zero where the tracked motion, at which the image term is zero, is not its minimum.
+        """Squared errors of the best hypothesis over those that were expected of it."""
         most = max((effect.drop for effect in self.effects.values()), default=0.0)
-        return max((self.base - most) / usual, _LEAST)
+        # A drop is of ties and priors as well, so it may be more than all errors.
+        return max((self.base.cost - most) / (weights.usual * self.base.expected), _LEAST)
+
+    def strangeness(self, weights: SessionWeights) -> float:
+        """Squared errors of the best hypothesis over those of USUAL_SHARE."""
+        return self.left(weights) * (self.base.share / USUAL_SHARE) ** 2
 
     def nats(self, name: str, weights: SessionWeights) -> float:
         """Log evidence of an effect against the base model."""
