@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Annotated
 
 from pydantic import Field
@@ -12,6 +13,9 @@ from toile.diagnosis.joint_fit import JointFitSettings
 from toile.diagnosis.softened import ModelError
 from toile.limits import Count, CountOrZero, Positive, Seed, Unit
 from toile.physics.grid_laws import GridLaw, taut
+
+_LAW = partial(taut, diagonal_compression=0.2)
+"""Both ratios are fitted, so none begins at 0, whose logarithm leads nowhere."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +69,7 @@ class SessionSettings:
         seed: of placebos and draws.
     """
 
-    law: GridLaw = taut
+    law: GridLaw = _LAW
     side: Annotated[int, Field(ge=4), Unit("vertices")] = 14
     longest_substep: Annotated[Positive, Unit("s")] = 0.01
     window: Annotated[Positive, Unit("s")] = 0.04

@@ -12,9 +12,10 @@ import torch
 from toile.diagnosis.base_fit import base_of, base_sensitivities, local_scales, nothing_seen
 from toile.diagnosis.joint_fit import JointFit, JointFitSettings, JointFitting, SharedLayout, joint_clip
 from toile.diagnosis.left_out import left_out_shrinks
+from toile.diagnosis.model_errors import ModelErrors, model_errors
 from toile.diagnosis.session_alias import session_alias
 from toile.diagnosis.session_settings import SessionSettings
-from toile.diagnosis.shooting import Shooting, ShootingSettings
+from toile.diagnosis.shooting import Shooting, ShootingSettings, cosine_modes
 from toile.diagnosis.softened import ModelError, softened
 from toile.diagnosis.tracked import Tracked
 from toile.effects.base import Effect, Scope, Surroundings
@@ -190,6 +191,13 @@ class TestShortWindows:
         assert settings.windows_at(12.5) == (1, pytest.approx(2**0.5))
 
 
+def test_every_number_of_the_law_of_a_session_has_a_logarithm() -> None:
+    cloth = grid_cloth((4, 3), (0.3, 0.4), 0.1, (), law=SessionSettings().law)
+    values = cloth.material(stretching=850.0, shearing=1e-3, bending=5e-5).values[0]
+    assert len(values) == 5
+    assert (values > 0).all()
+
+
 class TestSharedUnknowns:
     def test_every_scope_shares_its_coefficients(self) -> None:
         effects = [CATALOGUE[name]() for name in ("air_drag", "frame_rate", "gusts")]
@@ -246,6 +254,28 @@ class TestSoftened:
         moved = tracked.positions[3] + np.array([0.003, 0.0, 0.0])
         assert soft.cost(3, moved) == pytest.approx(0.5 * 9 / 2, rel=0.01)
         assert soft.cost(3, tracked.positions[3]) == 0.0
+
+    def test_errors_cost_what_their_size_says_and_the_size_is_found(self) -> None:
+        shooting, around = clip(WINDS[0], ())
+        tracked = replace(shooting.tracked, information=[np.eye(3 * 36, dtype=np.float32) * 1e9] * FRAMES)
+        error = ModelError(share=0.003, modes=4, frames=1.0)
+        shooting.tracked = softened(tracked, 0.3, 25.0, 1.0, error)
+        windows = joint_clip(shooting.with_window(2), around, FRAMES).windows
+        rng = np.random.default_rng(5)
+        fields = cosine_modes(GRID, 2)
+        for factor in (1.0, 2.0):
+            deviation = factor * 0.003 * 0.3 / np.sqrt(len(fields))
+            drawn = deviation * rng.standard_normal((40, FRAMES, len(fields), 3))
+            found = []
+            for one in np.einsum("rfkc,kn->rfnc", drawn, fields):
+                frames = np.repeat(tracked.positions + one, SUBSTEPS, 0)
+                moved = [
+                    replace(w, positions=frames[w.first * SUBSTEPS : w.last * SUBSTEPS + 1]) for w in windows
+                ]
+                found.append(model_errors(shooting, moved, 0.3, error))
+            total = ModelErrors.of_all(found)
+            assert total.cost / total.expected == pytest.approx(factor**2, rel=0.1)
+            assert total.found == pytest.approx(factor * 0.003, rel=0.05)
 
     def test_what_images_do_not_see_stays_unseen(self) -> None:
         shooting, _ = clip(WINDS[0], ())

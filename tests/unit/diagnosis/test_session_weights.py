@@ -10,7 +10,9 @@ import pytest
 
 from toile.diagnosis.decision import NONE
 from toile.diagnosis.effect_evidence import EffectEvidence
+from toile.diagnosis.model_errors import ModelErrors
 from toile.diagnosis.session_weights import (
+    USUAL_SHARE,
     MotionEvidence,
     SessionCase,
     SessionWeights,
@@ -29,7 +31,7 @@ def evidence(drops: tuple[float, ...], base: float = 50.0) -> MotionEvidence:
         name: EffectEvidence(drop, (1e3,), (float(np.sqrt(2e3 * drop)),), 3.0)
         for name, drop in zip(EFFECTS, drops, strict=True)
     }
-    return MotionEvidence(base, by_name, 1.6)
+    return MotionEvidence(ModelErrors(base, 120.0, USUAL_SHARE), by_name, 1.6)
 
 
 def cases(noise: float, gain: float) -> list[SessionCase]:
@@ -58,10 +60,19 @@ def test_a_model_that_is_wrong_anyhow_says_less() -> None:
 
 
 def test_where_the_best_model_is_nearly_right_differences_count_for_more() -> None:
-    coarse, fine = SessionWeights(), SessionWeights(finest=0.25)
+    coarse, fine = SessionWeights(finest=1.0), SessionWeights(finest=0.25)
     clean, rough = evidence((40.0, 6.0, 5.0), 60.0), evidence((40.0, 6.0, 5.0), 600.0)
     assert clean.nats("air_drag", fine) > 3 * clean.nats("air_drag", coarse)
     assert rough.nats("air_drag", fine) == rough.nats("air_drag", coarse)
+
+
+def test_what_is_strange_does_not_hang_on_the_errors_that_were_found() -> None:
+    one = evidence((40.0, 6.0, 5.0), 600.0)
+    # A model wrong by twice as much, explained to the same degree.
+    twice = replace(one, base=replace(one.base, share=2 * one.base.share))
+    weights = SessionWeights()
+    assert twice.left(weights) == one.left(weights)
+    assert twice.strangeness(weights) == pytest.approx(4 * one.strangeness(weights))
 
 
 def test_more_noise_in_the_nulls_asks_for_more_evidence() -> None:
