@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Annotated
 
 from pydantic import Field
@@ -12,10 +11,7 @@ from pydantic import Field
 from toile.diagnosis.joint_fit import JointFitSettings
 from toile.diagnosis.softened import ModelError
 from toile.limits import Count, CountOrZero, Positive, Seed, Unit
-from toile.physics.grid_laws import GridLaw, taut
-
-_LAW = partial(taut, diagonal_compression=0.2)
-"""Both ratios are fitted, so none begins at 0, whose logarithm leads nowhere."""
+from toile.physics.grid_laws import GridLaw, taut_fitted
 
 
 @dataclass(frozen=True)
@@ -69,7 +65,7 @@ class SessionSettings:
         seed: of placebos and draws.
     """
 
-    law: GridLaw = _LAW
+    law: GridLaw = taut_fitted
     side: Annotated[int, Field(ge=4), Unit("vertices")] = 14
     longest_substep: Annotated[Positive, Unit("s")] = 0.01
     window: Annotated[Positive, Unit("s")] = 0.04

@@ -53,6 +53,23 @@ def taut(
     )
 
 
+def taut_fitted(
+    grid: tuple[int, int],
+    rest_lengths: Tensor,
+    edge_compression: Fraction = 0.5,
+    diagonal_compression: Fraction = 0.2,
+) -> InternalEnergy:
+    """The same where both ratios are fitted: none begins at 0, whose logarithm leads nowhere.
+
+    Args:
+        grid: (H, W).
+        rest_lengths: of the edges (E,) [m].
+        edge_compression: ratio of the edges where a fit begins.
+        diagonal_compression: of the diagonals.
+    """
+    return taut(grid, rest_lengths, edge_compression, diagonal_compression)
+
+
 def grid_diagonals(height: int, width: int) -> Tensor:
     """Both diagonals of every cell, (2 (H-1) (W-1), 2): those down the columns first."""
     v = torch.arange(height * width).reshape(height, width)
