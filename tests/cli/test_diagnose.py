@@ -416,7 +416,9 @@ def test_clips_on_other_grids_are_refused(two_clips: Path, tmp_path: Path) -> No
         diagnose_session_folder(folder, tmp_path / "out", SMALL)
 
 
-@pytest.mark.parametrize("extra", [("diagnosis.held_out=0.4",), ("scene.name=anything",)])
+@pytest.mark.parametrize(
+    "extra", [("diagnosis.held_out=0.4",), ("scene.name=anything",), ("diagnosis.shooting.window=16",)]
+)
 def test_a_session_refuses_what_it_would_ignore(
     extra: tuple[str, ...], two_clips: Path, tmp_path: Path
 ) -> None:

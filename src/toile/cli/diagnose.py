@@ -30,6 +30,7 @@ from toile.diagnosis.record import DIAGNOSIS_FILE, GapReport
 from toile.diagnosis.session_diagnosis import diagnose_session
 from toile.diagnosis.session_settings import SessionSettings
 from toile.diagnosis.settings import DiagnosisSettings
+from toile.diagnosis.shooting import ShootingSettings
 from toile.diagnosis.workers import Workers
 from toile.effects.base import Effect
 from toile.errors import InputError
@@ -295,6 +296,10 @@ class SessionProblem:
         return report
 
 
+_OF_SESSION = ("window", "boundary_knot", "boundary", "likelihood_weight", "jump_position", "jump_velocity")
+"""Settings of a clip's windows that a session has its own of."""
+
+
 def session_problem(cfg: DictConfig) -> SessionProblem:
     """What a configuration with ``session`` asks for.
 
@@ -317,6 +322,15 @@ def session_problem(cfg: DictConfig) -> SessionProblem:
             expected="no value, or 0",
             got=str(cfg.diagnosis.held_out),
         )
+    usual = ShootingSettings()
+    for name in _OF_SESSION:
+        if cfg.diagnosis.shooting[name] != getattr(usual, name):
+            raise InputError(
+                "The windows of a session have settings of their own",
+                where=f"diagnosis.shooting.{name}",
+                expected=f"session_model.{name}",
+                got=str(cfg.diagnosis.shooting[name]),
+            )
     session = load_session(str(cfg.session))
     clips = []
     for clip in session.clips:
