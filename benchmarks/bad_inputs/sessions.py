@@ -11,7 +11,8 @@ SESSION = f"{SCENE}/session.yaml"
 ONE_CLIP = "clips:\n  - scene: ."
 
 
-ALONE = tuple(argument for argument in DIAGNOSE if not argument.startswith("scene="))
+_OF_A_SCENE = ("scene=", "diagnosis.shooting.window=")
+ALONE = tuple(argument for argument in DIAGNOSE if not argument.startswith(_OF_A_SCENE))
 
 
 def case(wrong: str, text: str, *says: str) -> Case:
@@ -41,6 +42,13 @@ CASES = [
         (*DIAGNOSE, f"session={SCENE}"),
         put(SESSION, f"{ONE_CLIP}\n"),
         says=("session", "scene"),
+    ),
+    Case(
+        SESSIONS,
+        "windows of a single clip",
+        (*ALONE, f"session={SCENE}", "diagnosis.shooting.window=16"),
+        put(SESSION, f"{ONE_CLIP}\n"),
+        says=("diagnosis.shooting.window", "session_model.window"),
     ),
     Case(SESSIONS, "an unknown blind set", ("blind", "make", *BLIND, "set=huge"), says=("huge",)),
     # -- the sheet

@@ -36,13 +36,13 @@ SCENE = (
     "texture.height=120",
     "texture.width=120",
 )
-SMALL = (
+SMALL_SESSION = (
     "diagnosis=quick",
     "diagnosis.sides=[8]",
     "diagnosis.shooting.modes=2",
-    "diagnosis.shooting.window=4",
     "optimization.stages.track.term.per_side=24",
 )
+SMALL = (*SMALL_SESSION, "diagnosis.shooting.window=4")
 
 
 @pytest.fixture(scope="module")
@@ -380,7 +380,10 @@ def test_clips_of_a_session_have_one_answer(two_clips: Path, tmp_path: Path) -> 
         "effect@candidates=[air_drag,gravity_tilt,gusts,shading]",
     )
     with contextlib.chdir(tmp_path):
-        assert main(("diagnose", f"session={two_clips}", *SMALL, *small, f"hydra.run.dir={tmp_path}")) == 0
+        assert (
+            main(("diagnose", f"session={two_clips}", *SMALL_SESSION, *small, f"hydra.run.dir={tmp_path}"))
+            == 0
+        )
     report = GapReport.read(tmp_path / DIAGNOSIS_FILE)
     assert report.session is not None
     assert report.session.clips == ("first", "second")
@@ -398,7 +401,7 @@ def test_clips_of_a_session_have_one_answer(two_clips: Path, tmp_path: Path) -> 
     assert (tmp_path / report.where.vertices).is_file()
     answer = (tmp_path / DIAGNOSIS_FILE).read_bytes()
     (tmp_path / DIAGNOSIS_FILE).unlink()
-    diagnose_session_folder(two_clips, tmp_path, (*SMALL, *small))
+    diagnose_session_folder(two_clips, tmp_path, (*SMALL_SESSION, *small))
     assert (tmp_path / DIAGNOSIS_FILE).read_bytes() == answer
     times = read_times(tmp_path / TIMES_FILE)
     assert all(stage.cached for stage in times.values())
@@ -413,7 +416,7 @@ def test_clips_on_other_grids_are_refused(two_clips: Path, tmp_path: Path) -> No
     folder.mkdir()
     (folder / "session.yaml").write_text(f"clips:\n- scene: {two_clips / 'first'}\n- scene: {other}\n")
     with pytest.raises(InputError, match="grid"):
-        diagnose_session_folder(folder, tmp_path / "out", SMALL)
+        diagnose_session_folder(folder, tmp_path / "out", SMALL_SESSION)
 
 
 @pytest.mark.parametrize(
@@ -423,4 +426,4 @@ def test_a_session_refuses_what_it_would_ignore(
     extra: tuple[str, ...], two_clips: Path, tmp_path: Path
 ) -> None:
     with pytest.raises(InputError, match=r"session"):
-        diagnose_session_folder(two_clips, tmp_path / "out", (*SMALL, *extra))
+        diagnose_session_folder(two_clips, tmp_path / "out", (*SMALL_SESSION, *extra))
