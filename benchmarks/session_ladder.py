@@ -71,6 +71,10 @@ SESSIONS = (
     "nonuniform_stiffness:3:9",
     "gravity_tilt:3:10",
     "anchor_slip:3:14",
+    "blender-none:0:301",
+    "blender-gusts:3:302",
+    "blender-none:0:303",
+    "blender-air_drag:3:304",
 )
 RUNGS = (
     "true, one clip",
