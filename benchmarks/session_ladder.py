@@ -149,7 +149,7 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
     seconds = sum((clip.n_frames - 1) / clip.problem.scene.fps for clip in clips)
     moving = [effect for effect in effects if isinstance(effect, FORCES)]
     fits = fitting.linearised(moving, base, fitting.systems(moving, base))
-    chosen = promising(base, fits, moving, errors, seconds, SessionWeights.load(), settings.fitted)
+    chosen = promising(base, fits, moving, errors, SessionWeights.load(), settings.fitted)
     rows: list[dict[str, object]] = []
     for effect in moving:
         began = time.process_time()

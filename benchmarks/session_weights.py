@@ -35,10 +35,10 @@ LEFT_OUT = ("gravity_tilt",)
 """Causes that are a wind to the base model: neither none nor to be found."""
 
 
-def cases_of(table: pd.DataFrame) -> list[SessionCase]:
-    """Evidence of every session on the rungs that a diagnosis has."""
-    found = []
-    for (_, session), own in table[table["rung"].isin(RUNGS)].groupby(["rung", "session"], sort=False):
+def cases_of(table: pd.DataFrame) -> tuple[list[SessionCase], list[str]]:
+    """Evidence of every session on the rungs that a diagnosis has, and how many clips it is from."""
+    found, clips = [], []
+    for (rung, session), own in table[table["rung"].isin(RUNGS)].groupby(["rung", "session"], sort=False):
         cause = cause_of(str(session))
         if cause in LEFT_OUT:
             continue
@@ -47,11 +47,11 @@ def cases_of(table: pd.DataFrame) -> list[SessionCase]:
         evidence = MotionEvidence(
             ModelErrors(*(float(own[key].iloc[0]) for key in ("cost of errors", "expected cost", "share"))),
             {str(name): _effect(row) for name, row in by_name.iterrows()},
-            float(own["seconds"].iloc[0]),
             learned,
         )
         found.append(SessionCase(str(session), NONE if cause in AS_NONE else cause, evidence))
-    return found
+        clips.append("one" if "one clip" in str(rung) else "three")
+    return found, clips
 
 
 def _effect(row: pd.Series) -> EffectEvidence:
@@ -62,16 +62,16 @@ def _effect(row: pd.Series) -> EffectEvidence:
 def main() -> None:
     """Write the page and the weights."""
     table = pd.read_csv(RESULTS / "session_evidence.csv")
-    cases = cases_of(table)
+    cases, clips_of = cases_of(table)
     weights, by_hand = learnt_weights(cases), SessionWeights()
     rows = []
-    for case, p in zip(cases, left_out_chances(cases), strict=True):
+    for case, clips, p in zip(cases, clips_of, left_out_chances(cases), strict=True):
         first = max(p, key=lambda name: p[name])
         before = chances(case.evidence, by_hand)
         rows.append(
             {
                 "session": case.session,
-                "clips": "one" if case.evidence.duration < 2 else "three",
+                "clips": clips,
                 "cause": case.cause,
                 "answer": first,
                 "its probability": p[first],

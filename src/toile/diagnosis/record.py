@@ -241,7 +241,7 @@ class SessionAnswer:
         probabilities: of every hypothesis, NONE and UNKNOWN among them.
         equivalence_classes: effects that these clips cannot tell apart.
         material: of the base model, by name, SI.
-        left: misfit of the best hypothesis over that of a right one.
+        left: squared errors that the best hypothesis leaves, over those of a usual base model.
         next_clip: motion of the clip to record next, "" for none.
         expected_information: by motion, what one more clip would add to the answer [nats]; {} where the
             answer is clear.

@@ -135,13 +135,12 @@ def diagnose_session(
     model = SessionModel(clips, motion, together, settings.stiffness)
     stages = HypothesisStages(model, progress, made_from, workers)
     base = pipeline.run(stages.base(0.5), motion)
-    duration = sum((clip.n_frames - 1) / clip.problem.scene.fps for clip in clips)
     weights = SessionWeights.load()
     progress("what every effect would change", 0.55)
     systems = model.fitting.systems(moving, base, workers)
     fits = model.fitting.linearised(moving, base, systems)
     errors = model.errors(base)
-    chosen = promising(base, fits, moving, errors, duration, weights, together.fitted)
+    chosen = promising(base, fits, moving, errors, weights, together.fitted)
     for k, effect in enumerate(chosen):
         share = 0.58 + 0.3 * (k + 1) / (len(chosen) + 1)
         fits[effect.NAME] = pipeline.run(stages.fit((effect,), share), motion, base)
@@ -150,9 +149,7 @@ def diagnose_session(
     calibration = Calibration.load(None if settings.calibration is None else Path(settings.calibration))
     of_images = [clip.seen.findings for clip in clips]
     learned = learned_chances(clips, motion)
-    evidence = session_evidence(
-        base, fits, effects, of_images, errors, duration, calibration, learned, weights
-    )
+    evidence = session_evidence(base, fits, effects, of_images, errors, calibration, learned, weights)
     scale = evidence.scale
     alias = session_alias(model.fitting, moving, systems, weights.threshold, scale)
     gains: dict[str, float] = {}

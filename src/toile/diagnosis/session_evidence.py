@@ -45,7 +45,6 @@ def session_evidence(
     effects: Sequence[Effect],
     of_images: Sequence[Mapping[str, Finding]],
     errors: ModelErrors,
-    duration: float,
     calibration: Calibration,
     learned: Mapping[str, float] | None,
     weights: SessionWeights,
@@ -58,14 +57,13 @@ def session_evidence(
         effects: all candidates.
         of_images: findings of every clip without a model of the motion, by name.
         errors: of the base model.
-        duration: of all clips [s].
         calibration: of the images' findings.
         learned: probabilities of the learned decision by label, None where there is none.
         weights: see SessionWeights.
     """
     by_name = {effect.NAME: effect for effect in effects}
     drops = {name: base.misfit - fit.misfit for name, fit in fits.items()}
-    motion = _of_motion(base, fits, errors, duration, learned)
+    motion = _of_motion(base, fits, errors, learned)
     left = motion.strangeness(weights)
     scale = motion.scale(weights)
     findings = {
@@ -90,7 +88,6 @@ def promising(
     fits: Mapping[str, JointFit],
     effects: Sequence[Effect],
     errors: ModelErrors,
-    duration: float,
     weights: SessionWeights,
     most: int,
 ) -> list[Effect]:
@@ -101,11 +98,10 @@ def promising(
         fits: of every effect, or what the linearised model says of it.
         effects: that move the cloth.
         errors: of the base model.
-        duration: of all clips [s].
         weights: see SessionWeights.
         most: effects at most.
     """
-    evidence = _of_motion(base, fits, errors, duration, None)
+    evidence = _of_motion(base, fits, errors, None)
     ranked = sorted(fits, key=lambda name: -evidence.nats(name, weights))[:most]
     return [effect for effect in effects if effect.NAME in ranked]
 
@@ -114,14 +110,13 @@ def _of_motion(
     base: JointFit,
     fits: Mapping[str, JointFit],
     errors: ModelErrors,
-    duration: float,
     learned: Mapping[str, float] | None,
 ) -> MotionEvidence:
     own = {
         name: EffectEvidence.of(base.misfit - fit.misfit, fit.coefficients, fit.covariance, fit.size)
         for name, fit in fits.items()
     }
-    return MotionEvidence(errors, own, duration, learned)
+    return MotionEvidence(errors, own, learned)
 
 
 def _of_images(effect: Effect, name: str, clips: Sequence[Mapping[str, Finding]]) -> Finding:

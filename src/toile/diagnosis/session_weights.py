@@ -91,13 +91,11 @@ class MotionEvidence:
     Attributes:
         base: smooth errors of the base model.
         effects: what the fit of every effect says.
-        duration: of all clips [s].
         learned: probabilities of the learned decision by label, None where there is none.
     """
 
     base: ModelErrors
     effects: Mapping[str, EffectEvidence]
-    duration: float
     learned: Mapping[str, float] | None = None
 
     def left(self, weights: SessionWeights) -> float:

@@ -31,7 +31,7 @@ def evidence(drops: tuple[float, ...], base: float = 50.0) -> MotionEvidence:
         name: EffectEvidence(drop, (1e3,), (float(np.sqrt(2e3 * drop)),), 3.0)
         for name, drop in zip(EFFECTS, drops, strict=True)
     }
-    return MotionEvidence(ModelErrors(base, 120.0, USUAL_SHARE), by_name, 1.6)
+    return MotionEvidence(ModelErrors(base, 120.0, USUAL_SHARE), by_name)
 
 
 def cases(noise: float, gain: float) -> list[SessionCase]:
