@@ -64,7 +64,7 @@ def session_evidence(
     by_name = {effect.NAME: effect for effect in effects}
     drops = {name: base.misfit - fit.misfit for name, fit in fits.items()}
     motion = _of_motion(base, fits, errors, learned)
-    left = motion.strangeness(weights)
+    left = motion.over_usual(weights)
     scale = motion.scale(weights)
     findings = {
         name: _of_images(by_name[name], name, of_images) for name in (of_images[0] if of_images else {})

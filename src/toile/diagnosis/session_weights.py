@@ -104,7 +104,7 @@ class MotionEvidence:
         # A drop is of ties and priors as well, so it may be more than all errors.
         return max((self.base.cost - most) / (weights.usual * self.base.expected), _LEAST)
 
-    def strangeness(self, weights: SessionWeights) -> float:
+    def over_usual(self, weights: SessionWeights) -> float:
         """Squared errors of the best hypothesis over those of USUAL_SHARE."""
         return self.left(weights) * (self.base.share / USUAL_SHARE) ** 2
 

@@ -72,7 +72,7 @@ def test_what_is_strange_does_not_hang_on_the_errors_that_were_found() -> None:
     twice = replace(one, base=replace(one.base, share=2 * one.base.share))
     weights = SessionWeights()
     assert twice.left(weights) == one.left(weights)
-    assert twice.strangeness(weights) == pytest.approx(4 * one.strangeness(weights))
+    assert twice.over_usual(weights) == pytest.approx(4 * one.over_usual(weights))
 
 
 def test_more_noise_in_the_nulls_asks_for_more_evidence() -> None:
