@@ -154,6 +154,7 @@ blind-sessions: setup ## The same with sessions of several clips: three clips, o
 	$(BIN)/toile blind make set=$(SESSIONS) jobs=$(JOBS)
 	$(BIN)/toile blind run set=$(SESSIONS) jobs=$(JOBS)
 	$(BIN)/toile blind run set=$(SESSIONS) jobs=$(JOBS) one_clip=true
+	$(BIN)/toile blind run set=$(SESSIONS) jobs=$(JOBS) as_scene=true
 	$(BIN)/toile blind extend set=$(SESSIONS)
 	$(BIN)/toile blind run set=$(SESSIONS) jobs=$(JOBS) extended=true
 	$(BIN)/toile blind grade set=$(SESSIONS) $(SESSIONS_TABLE)

@@ -26,17 +26,20 @@ from toile.cli.configuration import CONF, register_resolvers
 from toile.cli.diagnose import session_problem
 from toile.diagnosis.effect_evidence import EffectEvidence
 from toile.diagnosis.effect_sensitivities import FORCES
+from toile.diagnosis.effect_size import travel
+from toile.diagnosis.fingerprint import fingerprint
+from toile.diagnosis.joint_fit import JointFit
 from toile.diagnosis.pipeline import Pipeline
 from toile.diagnosis.problem import DiagnosisProblem
 from toile.diagnosis.results import KINDS
 from toile.diagnosis.session_diagnosis import learned_chances
-from toile.diagnosis.session_evidence import promising
+from toile.diagnosis.session_evidence import base_of_session, promising
 from toile.diagnosis.session_settings import SessionSettings
 from toile.diagnosis.session_stages import (
     RefinedMotion,
     SeenClip,
     SessionModel,
-    refined_motion,
+    refining_stage,
     seen_clips,
     with_error_found,
 )
@@ -44,6 +47,7 @@ from toile.diagnosis.session_weights import SessionWeights
 from toile.diagnosis.stage_store import StageStore
 from toile.diagnosis.stage_times import StageTimes
 from toile.diagnosis.stored_values import ValueStore
+from toile.diagnosis.workers import ALONE
 from toile.generation.clip_plan import DEFAULT_CLIPS
 from toile.generation.out_of_family.base_scene import OutOfFamilySettings
 from toile.generation.out_of_family.from_blender import make_clips_with_blender
@@ -124,15 +128,17 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
     problems = [DiagnosisProblem(p.reconstruction, p.recipe, p.effects, p.settings) for p in asked.clips]
     problems = problems[:1] if "one clip" in rung else problems
     effects = asked.clips[0].effects
-    store = StageStore(out, ValueStore(KINDS, effects), StageTimes.going_on(out / "times.json"))
+    kinds = ValueStore((*KINDS, RefinedMotion), effects)
+    store = StageStore(out, kinds, StageTimes.going_on(out / "times.json"))
     nothing = lambda what, share: None  # noqa: E731
-    clips = seen_clips(problems, [0] * len(problems), Pipeline(store, nothing), nothing)
+    pipeline = Pipeline(store, nothing)
+    clips = seen_clips(problems, [0] * len(problems), pipeline, nothing)
     truth = [
         np.load(folder / f"truth_{k}.npy").astype(np.float64).reshape(c.n_frames, -1, 3)
         for k, c in enumerate(clips)
     ]
     settings, stiffness = asked.together, asked.clips[0].settings.stiffness
-    motion = _motion(folder, clips, truth, rung, settings, stiffness)
+    motion = _motion(clips, truth, rung, settings, stiffness, pipeline)
     if "force" in rung:
         settings = replace(settings, fit=replace(settings.fit, force=_FORCE))
     width = clips[0].problem.scene.cloth_size[0]
@@ -143,33 +149,46 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
         motion = with_error_found(clips, motion, settings, stiffness)
     model = SessionModel(clips, motion, settings, stiffness)
     fitting = model.fitting
-    base = fitting.fitted((), fitting.start_fit())
+    plain = fitting.fitted((), fitting.start_fit())
+    usual = fitting.fitted(fitting.usual, plain)
+    base = base_of_session(plain, usual)
     errors = model.errors(base)
     learned = learned_chances(clips, motion) or {}
     seconds = sum((clip.n_frames - 1) / clip.problem.scene.fps for clip in clips)
     moving = [effect for effect in effects if isinstance(effect, FORCES)]
     fits = fitting.linearised(moving, base, fitting.systems(moving, base))
-    chosen = promising(base, fits, moving, errors, SessionWeights.load(), settings.fitted)
+    fits |= {effect.NAME: usual for effect in moving if effect.NAME in usual.names}
+    weights = SessionWeights.load()
+    chosen = promising(base, fits, moving, errors, weights, settings.fitted, plain, usual.names)
     rows: list[dict[str, object]] = []
     for effect in moving:
         began = time.process_time()
-        fit = fitting.fitted((effect,), base) if effect in chosen else fits[effect.NAME]
-        drop = base.misfit - fit.misfit
-        found = EffectEvidence.of(drop, fit.coefficients, fit.covariance, fit.size)
+        fit = fits[effect.NAME]
+        against = plain if effect.NAME in base.names else base
+        before = _evidence(against, fit, None)
+        if effect in chosen:
+            fit = fitting.fitted(fitting.hypothesis(effect, base), base)
+        moves = travel(fitting.clips, fitting.start, fit, model.width)
+        found = _evidence(against, fit, moves)
         rows.append(
             {
                 "session": folder.name,
                 "rung": rung,
                 "position error [% of the width]": error / width,
                 "seconds": seconds,
+                "plain misfit": plain.misfit,
                 "base misfit": base.misfit,
+                "usual": " ".join(base.names),
                 "cost of errors": errors.cost,
                 "expected cost": errors.expected,
                 "share": errors.share,
                 "effect": effect.NAME,
-                "drop": drop,
+                "drop": found.drop,
                 "occam": found.occam,
                 "nats": found.nats(),
+                "nats before it is fitted": before.nats(),
+                "travel": found.travel,
+                "strength": float(np.sqrt((fit.own**2).mean())),
                 "information": " ".join(f"{value:.5g}" for value in found.information),
                 "slopes": " ".join(f"{value:.5g}" for value in found.slopes),
                 "fitted size": found.fitted_size,
@@ -181,33 +200,26 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
     return rows
 
 
+def _evidence(against: JointFit, fit: JointFit, moves: float | None) -> EffectEvidence:
+    return EffectEvidence.of(against.misfit - fit.misfit, fit.own, fit.own_covariance, fit.size, moves)
+
+
 def _motion(
-    folder: Path,
     clips: list[SeenClip],
     truth: list[np.ndarray],
     rung: str,
     settings: SessionSettings,
     stiffness: tuple[float, float, float],
+    pipeline: Pipeline,
 ) -> RefinedMotion:
     if rung.startswith("true"):
         return RefinedMotion(truth, None)
     if rung.startswith("tracked"):
         return RefinedMotion([clip.tracked.positions[: clip.n_frames] for clip in clips], None)
-    return _refined(folder, clips, settings, stiffness)
-
-
-def _refined(
-    folder: Path, clips: list[SeenClip], settings: SessionSettings, stiffness: tuple[float, float, float]
-) -> RefinedMotion:
-    """Once for all rungs of a session."""
-    key = (folder, len(clips))
-    if key not in _REFINED:
-        _REFINED.clear()
-        _REFINED[key] = refined_motion(clips, settings, stiffness)
-    return _REFINED[key]
-
-
-_REFINED: dict[tuple[Path, int], RefinedMotion] = {}
+    # Once for all rungs of a session.
+    stage = refining_stage(clips, settings, stiffness, {"together": fingerprint(settings)}, ALONE)
+    stage = replace(stage, file=f"refined_{len(clips)}.npz", name=f"refined motion of {len(clips)} clips")
+    return pipeline.run(stage, *(clip.tracked for clip in clips))
 
 
 def summary(table: pd.DataFrame) -> pd.DataFrame:
@@ -271,11 +283,14 @@ def page(table: pd.DataFrame) -> str:
         {
             "effects": moved.groupby("rung", sort=False).size(),
             "truth leads": moved.groupby("rung", sort=False)["truth leads"].sum(),
-            "and above every null": [
-                int((own["truth leads"] & (own["its gain [nats]"] > nothing)).sum())
-                for rung, own in moved.groupby("rung", sort=False)
-                for nothing in [still.loc[still["rung"] == rung, "its gain [nats]"].max()]
-            ],
+            "and above every null": pd.Series(
+                {
+                    rung: int((own["truth leads"] & (own["its gain [nats]"] > nothing)).sum())
+                    for rung, own in moved.groupby("rung", sort=False)
+                    for nothing in [still.loc[still["rung"] == rung, "its gain [nats]"].max()]
+                },
+                dtype=object,
+            ),
             "median over best rival [nats]": moved.groupby("rung", sort=False)[
                 "truth over best rival [nats]"
             ].median(),

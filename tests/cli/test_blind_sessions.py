@@ -122,6 +122,8 @@ def test_all_acts(blind) -> None:
     assert blind("run", "one_clip=true").status == 0
     alone = Path(f"{PREDICTIONS}_one_clip")
     assert {p.read_text() for p in alone.glob("*/clips.txt")} == {"release"}
+    # What as_scene=true would answer takes a diagnosis of its own; here the same answers stand for it.
+    shutil.copytree(alone, Path(f"{PREDICTIONS}_as_scene"))
     status, out, err = blind("extend")
     assert status == 0, err
     assert "3 of 3 sessions" in out
@@ -131,12 +133,13 @@ def test_all_acts(blind) -> None:
     status, _, err = blind("grade", "table=outputs/table.csv")
     assert status == 0, err
     table = pd.read_csv("outputs/table.csv")
-    assert set(table["clips"].astype(str)) == {"2", "1", "2+1"}
+    assert set(table["clips"].astype(str)) == {"2", "1", "1, as a scene", "2+1"}
     at = table.set_index(["measure", "generator", "clips"])["value"]
     named = "named rightly, all effects that move"
     assert [at[(named, "toile", clips)] for clips in ("1", "2", "2+1")] == [0.0, 1.0, 1.0]
     size = "90 % set: mean size"
     assert [at[(size, "all", clips)] for clips in ("1", "2", "2+1")] == [3.0, 2.0, 1.0]
+    assert at[(size, "all", "1, as a scene")] == 3.0
     assert at[("false alarms on nulls", "all", "2")] == 1.0
     assert "Confusion" in (PREDICTIONS / "grade" / "grade.md").read_text()
     # Spent, whatever was answered from.
@@ -198,6 +201,7 @@ def test_mistakes(blind) -> None:
     assert blind("make", "clips=[wave]").status == 2
     assert blind("make", "clips=[]").status == 2
     assert blind("run", "one_clip=true", "extended=true").status == 2
+    assert blind("run", "one_clip=true", "as_scene=true").status == 2
     status, _, err = blind("run", "composition=tiny", "one_clip=true")
     assert status == 2
     assert "several clips" in err

@@ -37,6 +37,7 @@ from toile.cli.blind_sessions import (
     EXTENDED,
     FirstClipAlone,
     clips_of,
+    diagnose_first_clip,
     extend_sessions,
     make_one_session,
     planned_sessions,
@@ -66,6 +67,9 @@ _COMPOSITIONS: dict[str, Callable[[], Composition]] = {
     "standard": standard_composition,
     "full": full_composition,
 }
+
+_KINDS = ("one_clip", "as_scene", "extended")
+"""Answers to sessions that are not from all of their clips; settings of toile blind run."""
 
 _log = logging.getLogger(__name__)
 
@@ -180,26 +184,31 @@ def _check_sessions(cfg: DictConfig, what: str) -> None:
         )
 
 
-def _predictions(cfg: DictConfig, *, one_clip: bool = False, extended: bool = False) -> Predictions:
-    """Where the answers go: those from one clip, or from one clip more, have folders of their own."""
-    suffix = "_one_clip" if one_clip else "_extended" if extended else ""
-    return Predictions(Path(f"{cfg.predictions}{suffix}"))
+def _predictions(cfg: DictConfig, kind: str = "") -> Predictions:
+    """Where the answers go: those of a kind, one of _KINDS, have a folder of their own."""
+    return Predictions(Path(f"{cfg.predictions}{f'_{kind}' if kind else ''}"))
 
 
 def _run(cfg: DictConfig, blind: BlindSet) -> None:
-    predictions = _predictions(cfg, one_clip=cfg.one_clip, extended=cfg.extended)
+    asked = [kind for kind in _KINDS if cfg[kind]]
+    if len(asked) > 1:
+        raise InputError(
+            "A run has one kind of answers",
+            where=", ".join(_KINDS),
+            expected="one of them",
+            got=" and ".join(asked),
+        )
+    predictions = _predictions(cfg, *asked)
     names = tuple(sorted(blind.names()))
     part = _part(cfg, names)
     settings = instantiate(cfg.settings)
     diagnose: Diagnose = _function(str(cfg.diagnose))
-    if cfg.one_clip or cfg.extended:
-        _check_sessions(cfg, "one_clip" if cfg.one_clip else "extended")
-    if cfg.one_clip and cfg.extended:
-        raise InputError(
-            "One clip, or one more", where="one_clip, extended", expected="one of them", got="both"
-        )
+    if asked:
+        _check_sessions(cfg, *asked)
     if cfg.one_clip:
         diagnose = FirstClipAlone(diagnose)
+    if cfg.as_scene:
+        diagnose = diagnose_first_clip
     if cfg.extended:
         before = _predictions(cfg)
         read_predictions(blind, before)
@@ -246,12 +255,13 @@ def _grade(cfg: DictConfig, blind: BlindSet) -> None:
 
 
 def _grade_sessions(cfg: DictConfig, blind: BlindSet) -> None:
-    """Mark what there is of: all clips, the first one alone, and all with the one that was asked for."""
+    """Mark what there is of: all clips, the first one alone or as a scene, and all with the one asked for."""
     clips = len(clips_of(cfg))
     kinds = {
         str(clips): _predictions(cfg),
-        "1": _predictions(cfg, one_clip=True),
-        f"{clips}+1": _predictions(cfg, extended=True),
+        "1": _predictions(cfg, "one_clip"),
+        "1, as a scene": _predictions(cfg, "as_scene"),
+        f"{clips}+1": _predictions(cfg, "extended"),
     }
     there = {title: p for title, p in kinds.items() if p.list.is_file()} or {str(clips): kinds[str(clips)]}
     grade = grade_sessions(blind, there, SealKey.read(Path(cfg.key)), resamplings=int(cfg.bootstrap), seed=0)

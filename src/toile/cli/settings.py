@@ -57,6 +57,7 @@ COMMAND_SETTINGS: Mapping[str, Any] = {
     "max_minutes": Annotated[NonNegative, Unit("min")] | None,
     "jobs": Jobs,
     "one_clip": bool,
+    "as_scene": bool,
     "extended": bool,
     "max_sessions": Count | None,
     "table": str | None,

@@ -7,10 +7,25 @@ Testing precise hypotheses).
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Sequence
 
+import numpy as np
+from numpy.typing import NDArray
+
+from toile.diagnosis.base_fit import N_WIND, base_of
+from toile.diagnosis.joint_fit import JointClip, JointFit, tracked_windows
 from toile.diagnosis.mechanics import Mechanics
 from toile.diagnosis.refits import Refit, acting_with, within_bounds
+from toile.diagnosis.shooting import Base
+from toile.effects.base import Effect
+
+Array = NDArray[np.float64]
+
+_NOTHING = 1e-6
+"""Coefficient in prior deviations that moves nothing."""
+
+_FEWEST = 8
+"""Frames of a piece at least."""
 
 
 def effect_size(mechanics: Mechanics, model: Refit) -> float:
@@ -31,4 +46,58 @@ def effect_size(mechanics: Mechanics, model: Refit) -> float:
             there = window
         distance = np.linalg.norm((there.positions - without.positions)[:: shooting.substeps], axis=-1)
         away.append(distance[len(distance) // 2 :].mean())
+    return float(np.mean(away))
+
+
+def travel(clips: Sequence[JointClip], start: Array, fit: JointFit, width: float) -> float | None:
+    """How far a hypothesis moves the cloth for each unit of its coefficients' root mean square [widths].
+
+    The first clip is simulated from its first frame to its last, with the effect and without, all else equal;
+    what counts is the mean distance in the last third, as for sizes that a generated scene is asked for.
+
+    Args:
+        clips: of the session.
+        start: material that log ratios refer to (P,).
+        fit: in which one effect is in question.
+        width: of the cloth [m].
+
+    Returns:
+        None where all coefficients are zero, or no piece of the clip can be simulated with them.
+    """
+    strength = float(np.sqrt((fit.own**2).mean()))
+    if strength < _NOTHING:
+        return None
+    clip, n_material = clips[0], len(start)
+    # Effects of the base model act in both.
+    usual = fit.effects[0][:-1] if fit.n_usual else ()
+    values = np.concatenate((fit.values[:n_material], fit.values[n_material : n_material + N_WIND]))
+    base = base_of(start, values)
+    frames = clip.windows[-1].last
+    while True:
+        away = _distance(clip, base, usual, fit.effects[0], frames)
+        if away is not None or frames < _FEWEST:
+            break
+        # What blows up is tried in shorter pieces.
+        frames = frames // 2
+    return None if away is None else away / width / strength
+
+
+def _distance(
+    clip: JointClip, base: Base, usual: tuple[Effect, ...], effects: tuple[Effect, ...], frames: int
+) -> float | None:
+    """Mean distance in the last third of pieces of so many frames [m]; None where a step fails."""
+    shooting = clip.shooting.with_window(frames)
+    away = []
+    for window in tracked_windows(shooting, clip.windows[-1].last + 1):
+        try:
+            moved = [
+                shooting.simulate(window, window.standardised, base, acting, clip.around)
+                for acting in (usual, effects)
+            ]
+        except FloatingPointError:
+            return None
+        if not all(one.converged for one in moved):
+            return None
+        distance = np.linalg.norm((moved[1].positions - moved[0].positions)[:: shooting.substeps], axis=-1)
+        away.append(distance[2 * len(distance) // 3 :].mean())
     return float(np.mean(away))

@@ -198,7 +198,9 @@ class Evidence:
         """Information on all effects' coefficients; base, local unknowns and discrepancy integrated out."""
         return self.information(range(self.n_base, self.n_shared), size)[0]
 
-    def information(self, free: Sequence[int], size: Discrepancy) -> tuple[Array, Array]:
+    def information(
+        self, free: Sequence[int], size: Discrepancy, usual: Sequence[int] = (), inflation: float = 1.0
+    ) -> tuple[Array, Array]:
         """Information on some effects' coefficients, and the slope of the likelihood by them.
 
         Base, local unknowns and discrepancy are integrated out; no other effect acts.
@@ -206,12 +208,17 @@ class Evidence:
         Args:
             free: places of the coefficients among the shared unknowns.
             size: of the discrepancy.
+            usual: places of coefficients that belong to the base.
+            inflation: prior deviation of those.
         """
-        reduced, b = self.reduced(size), self.n_base
-        A = reduced.matrix[:b, :b] + np.diag(self.deviations**-2)
-        C = reduced.matrix[:b][:, free]
+        reduced = self.reduced(size)
+        base = [*range(self.n_base), *usual]
+        precision = np.concatenate((self.deviations**-2, np.full(len(usual), inflation**-2.0)))
+        now = np.concatenate((self.values, self.coefficients[[place - self.n_base for place in usual]]))
+        A = reduced.matrix[np.ix_(base, base)] + np.diag(precision)
+        C = reduced.matrix[base][:, free]
         solved = np.linalg.solve(A, C)
-        slope = reduced.right[free] - solved.T @ (reduced.right[:b] - self.values / self.deviations**2)
+        slope = reduced.right[free] - solved.T @ (reduced.right[base] - now * precision)
         return reduced.matrix[np.ix_(free, free)] - C.T @ solved, slope
 
     def towards(

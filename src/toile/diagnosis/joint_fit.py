@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
-from scipy.linalg import solve_triangular
+from scipy.linalg import block_diag, solve_triangular
 from scipy.optimize import lsq_linear
 from scipy.signal import savgol_filter
 
@@ -37,7 +37,7 @@ from toile.diagnosis.refits import acting_with, within_bounds
 from toile.diagnosis.shooting import Base, Shooting, WindowMotion
 from toile.diagnosis.workers import ALONE, Workers
 from toile.effects.base import Effect, Scope, Surroundings
-from toile.limits import Count, NonNegative, Positive, Unit
+from toile.limits import Count, CountOrZero, NonNegative, Positive, Unit
 from toile.physics.state import State
 
 Array = NDArray[np.float64]
@@ -55,6 +55,8 @@ class JointFitSettings:
         longest_wind: change of a wind in one pass at most [m/s²].
         prior_inflation: factor on the prior deviations of an effect's coefficients: those say how large one
             usually is, not how large it can be.
+        few: coefficients of an effect that hardly need a prior.
+        few_inflation: the factor for effects of no more.
         force: deviation of each mode of a free force that every hypothesis has beside; 0 for none.
     """
 
@@ -63,7 +65,13 @@ class JointFitSettings:
     nothing: NonNegative = 1.0
     longest_wind: Annotated[Positive, Unit("m/s²")] = 2.0
     prior_inflation: Positive = 3.0
+    few: CountOrZero = 3
+    few_inflation: Positive = 10.0
     force: Annotated[NonNegative, Unit("m/s²")] = 0.0
+
+    def inflation(self, effect: Effect) -> float:
+        """Prior deviation of an effect's coefficients in their own units."""
+        return self.few_inflation if len(effect.scales) <= self.few else self.prior_inflation
 
     @property
     def size(self) -> Discrepancy:
@@ -223,17 +231,18 @@ class JointFit:
     """A hypothesis at its best fit.
 
     Attributes:
-        names: of its effects; () for the base model.
+        names: of its effects; those of the base model first.
         values: log ratios of the material's numbers, and the winds of all clips (P + 2 C,).
-        coefficients: of its effects in prior deviations, see SharedLayout (n,).
+        coefficients: of all these effects in prior deviations, see SharedLayout (n,).
         covariance: of them, (n, n).
         windows: simulated, of every clip.
         effects: acting in every clip.
         misfit: negative log-posterior without determinants: of images, ties, and priors.
         history: misfit after every pass.
         occam: half the log determinant of what the effects' coefficients have learnt.
-        size: prior deviation of the coefficients under which it was fitted.
         converged: whether the last pass gained little.
+        size: prior deviation of its own coefficients under which it was fitted.
+        n_usual: coefficients of the base model's effects, which come before its own.
     """
 
     names: tuple[str, ...]
@@ -247,6 +256,17 @@ class JointFit:
     occam: float
     converged: bool
     size: float = 1.0
+    n_usual: int = 0
+
+    @property
+    def own(self) -> Array:
+        """Coefficients of the effect in question (n - n_usual,)."""
+        return self.coefficients[self.n_usual :]
+
+    @property
+    def own_covariance(self) -> Array:
+        """Of them, those of the base model's effects integrated out."""
+        return self.covariance[self.n_usual :, self.n_usual :]
 
 
 class JointFitting:
@@ -257,6 +277,7 @@ class JointFitting:
         start: material that logarithms refer to (P,).
         values: log ratios where fits begin (P,).
         settings: see JointFitSettings.
+        usual: effects, at zero, that the base model has: what no cloth is without.
     """
 
     def __init__(
@@ -265,14 +286,16 @@ class JointFitting:
         start: Array,
         values: Array,
         settings: JointFitSettings = DEFAULT,
+        usual: Sequence[Effect] = (),
     ) -> None:
         self.clips, self.start, self.settings = list(clips), start, settings
+        self.usual = tuple(usual)
         self.size = settings.size
         self._values = values
         self._devices = [clip.device for clip in clips]
 
     def start_fit(self, workers: Workers = ALONE) -> JointFit:
-        """The base model where fits begin, simulated."""
+        """The base model where fits begin, without any effect, simulated."""
         values = np.concatenate((self._values, np.zeros(N_WIND * len(self.clips))))
         layout = self.layout(())
         windows = [
@@ -303,7 +326,7 @@ class JointFitting:
 
         Args:
             effects: of the hypothesis, at zero or anywhere; () for the base model.
-            begin: a fit of the base model, or of some of these effects.
+            begin: the base model, or a fit of some of these effects.
             workers: share the windows of a clip.
         """
         layout = self.layout(effects)
@@ -337,8 +360,22 @@ class JointFitting:
             covariance=covariance,
             occam=occam,
             converged=converged,
-            size=self.settings.prior_inflation,
+            size=self.settings.inflation(effects[-1]) if effects else 1.0,
+            n_usual=len(begin.coefficients) if len(effects) > len(begin.names) else begin.n_usual,
         )
+
+    def usual_in(self, base: JointFit) -> tuple[Effect, ...]:
+        """Effects that a base model has."""
+        return tuple(effect for effect in self.usual if effect.NAME in base.names)
+
+    def hypothesis(self, effect: Effect, base: JointFit) -> tuple[Effect, ...]:
+        """Effects of the model in which one is in question: those of the base model, and that one.
+
+        Args:
+            effect: none of the base model's.
+            base: the base model.
+        """
+        return (*self.usual_in(base), effect)
 
     def layout(self, effects: Sequence[Effect]) -> SharedLayout:
         """Which unknowns the clips share under a hypothesis."""
@@ -374,39 +411,55 @@ class JointFitting:
     def linearised(
         self, effects: Sequence[Effect], base: JointFit, systems: Sequence[Sequence[WindowSystem]]
     ) -> dict[str, JointFit]:
-        """Every effect alone at the minimum of the quadratic around the base model; nothing is simulated.
+        """Every effect at the minimum of the quadratic around the base model; nothing is simulated.
 
         Args:
-            effects: that may be added.
+            effects: that may be added; those of the base model among them, if it has any.
             base: the base model.
             systems: of every clip around it, see ``systems``.
+
+        Returns:
+            By name; of the base model's effects nothing.
         """
         layout = self.layout(effects)
-        evidence = self._joined(layout, systems, base.values)
+        evidence = self._joined(layout, systems, base.values, self._placed(layout, base).coefficients)
+        usual = [
+            layout.n_base + place
+            for effect, places in zip(effects, layout.places, strict=True)
+            if effect.NAME in base.names
+            for place in places
+        ]
+        # All of the base model's effects have few coefficients, or all have many.
+        wide = self.settings.inflation(self.usual[0]) if self.usual else 1.0
         found = {}
         for effect, places in zip(effects, layout.places, strict=True):
-            alone = self.layout((effect,))
+            if effect.NAME in base.names:
+                continue
+            alone = self.layout(self.hypothesis(effect, base))
+            n_usual, inflation = len(base.coefficients), self.settings.inflation(effect)
             free = [layout.n_base + place for place in places]
             # Sizes of the prior only: the evidence of the fit is made of drop and covariance.
-            information, score = evidence.information(free, self.size)
-            precision = information + np.eye(len(free)) / self.settings.prior_inflation**2
+            information, score = evidence.information(free, self.size, usual, wide)
+            precision = information + np.eye(len(free)) / inflation**2
             covariance = np.asarray(np.linalg.inv(precision), np.float64)
             # Within the bounds: strengths cut off one by one would be worse than none.
             low, high = self._reach(alone, self._placed(alone, base))
             lower = positive_lower(0.5 * (precision + precision.T))
-            bounds = (low[alone.n_base :], high[alone.n_base :])
+            bounds = (low[alone.n_base + n_usual :], high[alone.n_base + n_usual :])
             found_at = lsq_linear(lower.T, solve_triangular(lower, score, lower=True), bounds, method="bvls")
-            best = self._bounded(alone, found_at.x)
+            coefficients = self._bounded(alone, np.concatenate((base.coefficients, found_at.x)))
+            best = coefficients[n_usual:]
             drop = float(score @ best - 0.5 * best @ precision @ best)
             found[effect.NAME] = replace(
                 base,
-                names=(effect.NAME,),
-                coefficients=best,
-                covariance=covariance,
-                effects=self._acting(alone, best),
+                names=tuple(one.NAME for one in alone.effects),
+                coefficients=coefficients,
+                covariance=block_diag(base.covariance, covariance),
+                effects=self._acting(alone, coefficients),
                 misfit=base.misfit - drop,
                 converged=False,
-                size=self.settings.prior_inflation,
+                size=inflation,
+                n_usual=n_usual,
             )
         return found
 
@@ -485,7 +538,7 @@ class JointFitting:
             clip.shooting.clip_cost(own, self.size) for clip, own in zip(self.clips, windows, strict=True)
         )
         prior = ((values / self._deviations(layout)) ** 2).sum()
-        own = ((coefficients / self.settings.prior_inflation) ** 2).sum()
+        own = ((coefficients / self._inflations(layout)) ** 2).sum()
         return float(images + 0.5 * (prior + own))
 
     def _step(
@@ -537,8 +590,14 @@ class JointFitting:
 
     def _scale(self, layout: SharedLayout) -> Array:
         """Prior deviations of all shared unknowns."""
-        own = np.full(layout.n_coefficients, self.settings.prior_inflation)
-        return np.concatenate((self._deviations(layout), own))
+        return np.concatenate((self._deviations(layout), self._inflations(layout)))
+
+    def _inflations(self, layout: SharedLayout) -> Array:
+        """Prior deviations of all coefficients in their own units."""
+        wide = np.empty(layout.n_coefficients)
+        for effect, places in zip(layout.effects, layout.places, strict=True):
+            wide[places] = self.settings.inflation(effect)
+        return wide
 
     def _moved(
         self,
@@ -592,7 +651,8 @@ class JointFitting:
         H = np.eye(b + n) + scale[:, None] * reduced * scale
         covariance = scale[:, None] * np.linalg.inv(H) * scale
         inside = covariance[b:, b:]
-        _, whole = np.linalg.slogdet(inside / self.settings.prior_inflation**2)
+        wide = self._inflations(layout)
+        _, whole = np.linalg.slogdet(inside / np.outer(wide, wide))
         return inside, float(-0.5 * whole)
 
 

@@ -66,8 +66,9 @@ def left_out_shrinks(
         seed: of those.
     """
     clip = whole.clips[-1]
-    chosen: dict[str, tuple[tuple[Effect, ...], JointFit]] = {"": ((), base)}
-    chosen |= {name: ((effects[name],), fit) for name, fit in fits.items()}
+    usual = whole.usual_in(base)
+    chosen: dict[str, tuple[tuple[Effect, ...], JointFit]] = {"": (usual, base)}
+    chosen |= {name: (_effects_of(fit, usual, effects[name]), fit) for name, fit in fits.items()}
     errors: dict[str, Array | None] = {}
     ours = _Predictor(clip, ahead)
     for name, (own, fit) in chosen.items():
@@ -78,11 +79,11 @@ def left_out_shrinks(
         acting = _acting(whole, without, own, others, fit)
         errors[name] = ours.errors(base_of(whole.start, values), acting)
         if not name:
-            model = base_of(whole.start, values)
+            model, plain = base_of(whole.start, values), acting
     without_effect = errors.pop("")
     if without_effect is None:
         return LeftOut({}, ())
-    best = _best_placebo(ours, model, without_effect, placebos, seed)
+    best = _best_placebo(ours, model, plain, without_effect, placebos, seed)
     shrinks = {}
     for name, better in errors.items():
         if better is None:
@@ -101,6 +102,11 @@ def left_out_shrinks(
             best,
         )
     return LeftOut(shrinks, ours.frames)
+
+
+def _effects_of(fit: JointFit, usual: tuple[Effect, ...], effect: Effect) -> tuple[Effect, ...]:
+    """Of the base model's own effects their fit is the base model itself."""
+    return (*usual, effect) if fit.n_usual else (effect,)
 
 
 class _Predictor:
@@ -141,7 +147,9 @@ class _Predictor:
         return np.concatenate(found)
 
 
-def _best_placebo(ours: _Predictor, base: Base, without: Array, n: int, seed: int) -> float | None:
+def _best_placebo(
+    ours: _Predictor, base: Base, usual: tuple[Effect, ...], without: Array, n: int, seed: int
+) -> float | None:
     """Best shrink among smooth static force fields, in either direction and of several sizes."""
     rng = np.random.default_rng(seed)
     modes = cosine_modes(ours.shooting.grid, 2)
@@ -149,7 +157,7 @@ def _best_placebo(ours: _Predictor, base: Base, without: Array, n: int, seed: in
     for _ in range(n):
         field = np.einsum("kc,kn->nc", rng.standard_normal((len(modes), 3)), modes) / len(modes) ** 0.5
         for size in (*_SIZES, *(-s for s in _SIZES)):
-            found = ours.errors(base, (), size * field)
+            found = ours.errors(base, usual, size * field)
             if found is not None:
                 total = shrink_of(without, found)
                 best = total if best is None else max(best, total)

@@ -209,8 +209,8 @@ def _known(
     known = {}
     for effect, before, after in zip(effects, layout.places, longer.places, strict=True):
         fit, own = fits[effect.NAME], kept[before]
-        covariance = 0.5 * scale * (fit.covariance + fit.covariance.T) + 1e-9 * np.eye(len(own))
-        usual = float(np.sqrt((fit.coefficients**2).mean())) if effect.SCOPE is Scope.CLIP else 0.0
+        covariance = 0.5 * scale * (fit.own_covariance + fit.own_covariance.T) + 1e-9 * np.eye(len(own))
+        usual = float(np.sqrt((fit.own**2).mean())) if effect.SCOPE is Scope.CLIP else 0.0
         beyond = np.array(sorted(set(after) - set(own.tolist())), np.intp)
-        known[effect.NAME] = Known(fit.coefficients, covariance, own, beyond, fit.size, usual)
+        known[effect.NAME] = Known(fit.own, covariance, own, beyond, fit.size, usual)
     return known, kept

@@ -14,6 +14,7 @@ from toile.atomic_file import written_atomically
 from toile.diagnosis.arrays import FRAMES_FILE, VERTICES_FILE
 from toile.diagnosis.decision import UNKNOWN, Calibration
 from toile.diagnosis.effect_sensitivities import FORCES
+from toile.diagnosis.effect_size import travel
 from toile.diagnosis.findings import estimates
 from toile.diagnosis.fingerprint import fingerprint
 from toile.diagnosis.gap_maps import stage_shares
@@ -38,7 +39,12 @@ from toile.diagnosis.record import (
 )
 from toile.diagnosis.results import KINDS
 from toile.diagnosis.session_alias import session_alias
-from toile.diagnosis.session_evidence import SessionEvidence, promising, session_evidence
+from toile.diagnosis.session_evidence import (
+    SessionEvidence,
+    base_of_session,
+    promising,
+    session_evidence,
+)
 from toile.diagnosis.session_settings import SessionSettings
 from toile.diagnosis.session_stages import (
     HypothesisStages,
@@ -134,22 +140,29 @@ def diagnose_session(
     motion = pipeline.run(refining, *(clip.tracked for clip in clips))
     model = SessionModel(clips, motion, together, settings.stiffness)
     stages = HypothesisStages(model, progress, made_from, workers)
-    base = pipeline.run(stages.base(0.5), motion)
+    plain = pipeline.run(stages.plain(0.5), motion)
+    usual = pipeline.run(stages.usual(0.53), motion, plain)
+    base = base_of_session(plain, usual)
     weights = SessionWeights.load()
     progress("what every effect would change", 0.55)
     systems = model.fitting.systems(moving, base, workers)
     fits = model.fitting.linearised(moving, base, systems)
+    fits |= {effect.NAME: usual for effect in moving if effect.NAME in usual.names}
     errors = model.errors(base)
-    chosen = promising(base, fits, moving, errors, weights, together.fitted)
+    chosen = promising(base, fits, moving, errors, weights, together.fitted, plain, usual.names)
     for k, effect in enumerate(chosen):
         share = 0.58 + 0.3 * (k + 1) / (len(chosen) + 1)
-        fits[effect.NAME] = pipeline.run(stages.fit((effect,), share), motion, base)
+        fits[effect.NAME] = pipeline.run(stages.fit(effect, share), motion, base)
 
     progress("what the clips say together", 0.88)
     calibration = Calibration.load(None if settings.calibration is None else Path(settings.calibration))
     of_images = [clip.seen.findings for clip in clips]
     learned = learned_chances(clips, motion)
-    evidence = session_evidence(base, fits, effects, of_images, errors, calibration, learned, weights)
+    fitting = model.fitting
+    travels = {name: travel(fitting.clips, fitting.start, fit, model.width) for name, fit in fits.items()}
+    evidence = session_evidence(
+        base, fits, effects, of_images, errors, calibration, learned, weights, travels, plain
+    )
     scale = evidence.scale
     alias = session_alias(model.fitting, moving, systems, weights.threshold, scale)
     gains: dict[str, float] = {}

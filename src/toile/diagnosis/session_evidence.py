@@ -19,6 +19,12 @@ from toile.effects.base import Effect, Scope
 
 Array = NDArray[np.float64]
 
+_SHOWN = 2.0
+"""Gain of usual effects from which on the base model has them [nats]."""
+
+_WORTH = 1.0
+"""Evidence in the linearised model from which on an effect is fitted [nats]: fits of less gain no more."""
+
 
 @dataclass(frozen=True)
 class SessionEvidence:
@@ -48,22 +54,26 @@ def session_evidence(
     calibration: Calibration,
     learned: Mapping[str, float] | None,
     weights: SessionWeights,
+    travels: Mapping[str, float | None] | None = None,
+    plain: JointFit | None = None,
 ) -> SessionEvidence:
     """Put together what motion and images of all clips say.
 
     Args:
         base: the base model.
-        fits: of effects that move the cloth, by name.
+        fits: of effects that move the cloth, by name; of its own ones the base model's itself.
         effects: all candidates.
         of_images: findings of every clip without a model of the motion, by name.
         errors: of the base model.
         calibration: of the images' findings.
         learned: probabilities of the learned decision by label, None where there is none.
         weights: see SessionWeights.
+        travels: how far every effect moves the cloth, see EffectEvidence; None where that is not known.
+        plain: the base model without its own effects; None where it has none.
     """
     by_name = {effect.NAME: effect for effect in effects}
-    drops = {name: base.misfit - fit.misfit for name, fit in fits.items()}
-    motion = _of_motion(base, fits, errors, learned)
+    motion = _of_motion(base, fits, errors, learned, travels or {}, plain)
+    drops = {name: one.drop for name, one in motion.effects.items()}
     left = motion.over_usual(weights)
     scale = motion.scale(weights)
     findings = {
@@ -76,11 +86,21 @@ def session_evidence(
             logits[name] = (score - calibration.threshold) / calibration.temperature
     for name, fit in fits.items():
         n = len(by_name[name].scales)
-        covariance = scale * fit.covariance[:n, :n]
-        findings[name] = finding(by_name[name], motion.nats(name, weights), fit.coefficients[:n], covariance)
+        covariance = scale * fit.own_covariance[:n, :n]
+        findings[name] = finding(by_name[name], motion.nats(name, weights), fit.own[:n], covariance)
         logits[name] = motion.logit(name, weights)
     logits[UNKNOWN] = float(weights.strangeness * np.log(left / weights.strange))
     return SessionEvidence(findings, drops, _chances(logits), left, scale)
+
+
+def base_of_session(plain: JointFit, usual: JointFit) -> JointFit:
+    """The base model: with its usual effects where the clips show them, else without.
+
+    Args:
+        plain: fit without any effect.
+        usual: with them.
+    """
+    return usual if plain.misfit - usual.misfit > _SHOWN else plain
 
 
 def promising(
@@ -90,8 +110,10 @@ def promising(
     errors: ModelErrors,
     weights: SessionWeights,
     most: int,
+    plain: JointFit | None = None,
+    fitted: Sequence[str] = (),
 ) -> list[Effect]:
-    """Effects with most evidence.
+    """Effects with most evidence, those that the base model may have aside: their fit is there.
 
     Args:
         base: the base model.
@@ -100,9 +122,12 @@ def promising(
         errors: of the base model.
         weights: see SessionWeights.
         most: effects at most.
+        plain: see session_evidence.
+        fitted: effects that have been fitted.
     """
-    evidence = _of_motion(base, fits, errors, None)
-    ranked = sorted(fits, key=lambda name: -evidence.nats(name, weights))[:most]
+    evidence = _of_motion(base, fits, errors, None, {}, plain)
+    nats = {name: evidence.nats(name, weights) for name in fits if name not in fitted}
+    ranked = [name for name in sorted(nats, key=lambda name: -nats[name])[:most] if nats[name] > _WORTH]
     return [effect for effect in effects if effect.NAME in ranked]
 
 
@@ -111,12 +136,15 @@ def _of_motion(
     fits: Mapping[str, JointFit],
     errors: ModelErrors,
     learned: Mapping[str, float] | None,
+    travels: Mapping[str, float | None],
+    plain: JointFit | None = None,
 ) -> MotionEvidence:
-    own = {
-        name: EffectEvidence.of(base.misfit - fit.misfit, fit.coefficients, fit.covariance, fit.size)
-        for name, fit in fits.items()
-    }
-    return MotionEvidence(errors, own, learned)
+    own = {}
+    for name, fit in fits.items():
+        against = plain if plain is not None and name in base.names else base
+        drop = against.misfit - fit.misfit
+        own[name] = EffectEvidence.of(drop, fit.own, fit.own_covariance, fit.size, travels.get(name))
+    return MotionEvidence(errors, own, learned, base.names)
 
 
 def _of_images(effect: Effect, name: str, clips: Sequence[Mapping[str, Finding]]) -> Finding:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -12,6 +12,9 @@ from toile.diagnosis.joint_fit import JointFitSettings
 from toile.diagnosis.softened import ModelError
 from toile.limits import Count, CountOrZero, Positive, Seed, Unit
 from toile.physics.grid_laws import GridLaw, taut_fitted
+
+Usual = Annotated[tuple[Literal["internal_damping"], ...], Field(max_length=1)]
+"""Effects that a base model may have."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +56,8 @@ class SessionSettings:
         refining: see RefiningSettings.
         model_error: see ModelError; its share is where the search for it begins.
         error_rounds: fits of the base model in which that share is found; 0 leaves it as it is.
+        usual: effects that the base model has: what no cloth and no solver is without. One of them is a cause
+            where it is stronger than is usual.
         fit: see JointFitSettings.
         fitted: hypotheses that are fitted, those with most evidence in the model linearised around the
             base; the others keep that evidence.
@@ -78,8 +83,9 @@ class SessionSettings:
     refining: RefiningSettings = field(default_factory=RefiningSettings)
     model_error: ModelError = field(default_factory=ModelError)
     error_rounds: CountOrZero = 3
+    usual: Usual = ("internal_damping",)
     fit: JointFitSettings = field(default_factory=JointFitSettings)
-    fitted: Count = 5
+    fitted: Count = 3
     refined: Count = 2
     left_out_passes: Count = 4
     ahead: Annotated[Positive, Unit("frames")] = 12.0

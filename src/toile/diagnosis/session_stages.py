@@ -24,6 +24,7 @@ from toile.diagnosis.stages import DiagnosisStages
 from toile.diagnosis.tracked import tracked_motion
 from toile.diagnosis.workers import ALONE, Workers
 from toile.effects.base import Effect
+from toile.effects.catalogue import CATALOGUE
 
 Array = NDArray[np.float64]
 Inputs = TypeVarTuple("Inputs")
@@ -130,9 +131,12 @@ class SessionModel:
             _joint(clip, grid, positions, settings)
             for clip, grid, positions in zip(clips, self.grids, motion.positions, strict=True)
         ]
-        self.fitting = JointFitting(of_clips, start, values, settings.fit)
+        usual = tuple(CATALOGUE[name]() for name in settings.usual)
+        self.fitting = JointFitting(of_clips, start, values, settings.fit, usual)
         fewer = replace(settings.fit, passes=settings.left_out_passes)
-        self.left_out = JointFitting(of_clips[:-1], start, values, fewer) if len(of_clips) > 1 else None
+        self.left_out = (
+            JointFitting(of_clips[:-1], start, values, fewer, usual) if len(of_clips) > 1 else None
+        )
 
     @property
     def width(self) -> float:
@@ -273,8 +277,8 @@ class HypothesisStages:
     made_from: dict[str, str]
     workers: Workers = ALONE
 
-    def base(self, share: float) -> PipelineStage[RefinedMotion, JointFit]:
-        """The fit of the base model to all clips.
+    def plain(self, share: float) -> PipelineStage[RefinedMotion, JointFit]:
+        """The fit of the base model without its usual effects to all clips.
 
         Args:
             share: of all work that is done when it begins.
@@ -285,25 +289,43 @@ class HypothesisStages:
             return fitting.fitted((), fitting.start_fit(self.workers), self.workers)
 
         return PipelineStage(
-            "fit of base", "fits/base.npz", "fit of base", share, JointFit, compute, self.made_from
+            "plain fit", "fits/plain.npz", "fit without any effect", share, JointFit, compute, self.made_from
         )
 
-    def fit(
-        self, effects: Sequence[Effect], share: float
-    ) -> PipelineStage[RefinedMotion, JointFit, JointFit]:
+    def usual(self, share: float) -> PipelineStage[RefinedMotion, JointFit, JointFit]:
+        """The fit with the usual effects, from the plain one; the plain one where there are none.
+
+        Args:
+            share: of all work that is done when it begins.
+        """
+        fitting = self.model.fitting
+
+        def compute(motion: RefinedMotion, plain: JointFit) -> JointFit:
+            return fitting.fitted(fitting.usual, plain, self.workers) if fitting.usual else plain
+
+        return PipelineStage(
+            "usual effects",
+            "fits/usual.npz",
+            "fit of usual effects",
+            share,
+            JointFit,
+            compute,
+            self.made_from,
+        )
+
+    def fit(self, effect: Effect, share: float) -> PipelineStage[RefinedMotion, JointFit, JointFit]:
         """The fit of a hypothesis to all clips, from where the base model has ended: it cannot be worse.
 
         Args:
-            effects: of it, at least one.
+            effect: in question.
             share: of all work that is done when it begins.
         """
-        names = "+".join(effect.NAME for effect in effects)
-        fitting = self.model.fitting
+        name, fitting = effect.NAME, self.model.fitting
 
         def compute(motion: RefinedMotion, base: JointFit) -> JointFit:
-            return fitting.fitted(effects, base, self.workers)
+            return fitting.fitted(fitting.hypothesis(effect, base), base, self.workers)
 
-        made_from = {**self.made_from, "effects": fingerprint(tuple(effects))}
+        made_from = {**self.made_from, "effect": fingerprint((effect,))}
         return PipelineStage(
-            f"fit of {names}", f"fits/{names}.npz", f"fit of {names}", share, JointFit, compute, made_from
+            f"fit of {name}", f"fits/{name}.npz", f"fit of {name}", share, JointFit, compute, made_from
         )

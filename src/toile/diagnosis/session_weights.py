@@ -42,6 +42,8 @@ class SessionWeights:
     Attributes:
         usual: what errors of the base model's size cost a right model, over what they are expected to.
         finest: share of it below which smaller errors do not make differences count for more.
+        smallest: by how much an effect moves the cloth, in the last third of the first clip, that is noticed
+            [widths]; what moves it less is none.
         threshold: evidence at which an effect and none are equally probable [nats].
         temperature: evidence by which the odds of an effect grow e-fold [nats].
         learned: weight of the learned decision's log odds among effects.
@@ -52,6 +54,7 @@ class SessionWeights:
 
     usual: float = 1.0
     finest: float = 0.3
+    smallest: float = 0.005
     threshold: float = 12.0
     temperature: float = 5.0
     learned: float = 1.0
@@ -92,15 +95,17 @@ class MotionEvidence:
         base: smooth errors of the base model.
         effects: what the fit of every effect says.
         learned: probabilities of the learned decision by label, None where there is none.
+        usual: effects that the base model has; what is said of them is against a model without.
     """
 
     base: ModelErrors
     effects: Mapping[str, EffectEvidence]
     learned: Mapping[str, float] | None = None
+    usual: tuple[str, ...] = ()
 
     def left(self, weights: SessionWeights) -> float:
         """Squared errors of the best hypothesis over those that were expected of it."""
-        most = max((effect.drop for effect in self.effects.values()), default=0.0)
+        most = max((e.drop for name, e in self.effects.items() if name not in self.usual), default=0.0)
         # A drop is of ties and priors as well, so it may be more than all errors.
         return max((self.base.cost - most) / (weights.usual * self.base.expected), _LEAST)
 
@@ -109,8 +114,19 @@ class MotionEvidence:
         return self.left(weights) * (self.base.share / USUAL_SHARE) ** 2
 
     def nats(self, name: str, weights: SessionWeights) -> float:
-        """Log evidence of an effect against the base model."""
-        return self.effects[name].nats(self.scale(weights))
+        """Log evidence of an effect that is noticed against none that is."""
+        own, scale = self.effects[name], self.scale(weights)
+        nats = own.nats(scale, weights.smallest)
+        if name in self.usual:
+            # The base model has as much of it as is not noticed.
+            nats -= own.unnoticed(scale, weights.smallest)
+        return nats - self.none(weights)
+
+    def none(self, weights: SessionWeights) -> float:
+        """Log evidence of no effect that is noticed against the base model: of the best one that is not."""
+        scale = self.scale(weights)
+        others = (e for name, e in self.effects.items() if name not in self.usual)
+        return max((e.unnoticed(scale, weights.smallest) for e in others), default=0.0)
 
     def scale(self, weights: SessionWeights) -> float:
         """By how much all misfits are too large: what even the best hypothesis is wrong by is the noise."""

@@ -214,6 +214,7 @@ class Shooting:
         self._to_modes = np.linalg.solve(flat @ flat.T, flat)
         self._to_modes_single = self._to_modes.astype(np.float32)
         self.frames_once = False
+        self.push = np.zeros(3)
         self.n_pinned = len(simulator.cloth.pinned)
         pinned = simulator.assembly.pinned
         size = float(np.linalg.norm(np.ptp(tracked.positions[0], axis=0)))
@@ -267,9 +268,9 @@ class Shooting:
         return other
 
     def pushed(self, field: Array) -> Shooting:
-        """The same problem with a force per mass (N, 3) [m/s²] beside gravity; for models without effects."""
+        """The same problem with a force per mass (N, 3) [m/s²] beside gravity."""
         other = copy.copy(self)
-        other.gravity = self.gravity + field
+        other.push = self.push + field
         return other
 
     def external(self, n_frames: int) -> NDArray[np.bool_]:
@@ -358,13 +359,15 @@ class Shooting:
         wind = base.wind @ self.horizontal
         simulator, forces = (
             self.simulator,
-            torch.from_numpy(self.masses[:, None] * (self.gravity + wind + force)),
+            torch.from_numpy(self.masses[:, None] * (self.gravity + wind + self.push + force)),
         )
         pinned = torch.from_numpy(boundary)
         if effects:
             assert around is not None
             simulator, cloth, total, moved = changed_simulation(self, effects, around, torch.from_numpy(wind))
-            forces = total[window.first : window.last] + cloth.masses[:, None] * torch.from_numpy(force)
+            forces = total[window.first : window.last] + cloth.masses[:, None] * torch.from_numpy(
+                self.push + force
+            )
             shift = moved - torch.from_numpy(self.boundary[: around.n_frames])
             pinned = pinned + shift[window.first : window.last + 1]
         warm = None

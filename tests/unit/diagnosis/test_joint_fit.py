@@ -10,10 +10,13 @@ import pytest
 import torch
 
 from toile.diagnosis.base_fit import base_of, base_sensitivities, local_scales, nothing_seen
+from toile.diagnosis.effect_size import travel
 from toile.diagnosis.joint_fit import JointFit, JointFitSettings, JointFitting, SharedLayout, joint_clip
 from toile.diagnosis.left_out import left_out_shrinks
 from toile.diagnosis.model_errors import ModelErrors, model_errors
+from toile.diagnosis.refits import acting_with
 from toile.diagnosis.session_alias import session_alias
+from toile.diagnosis.session_evidence import base_of_session
 from toile.diagnosis.session_settings import SessionSettings
 from toile.diagnosis.shooting import Shooting, ShootingSettings, cosine_modes
 from toile.diagnosis.softened import ModelError, softened
@@ -98,6 +101,17 @@ def still() -> Problem:
     return problem(())
 
 
+@pytest.fixture(scope="module")
+def damped() -> tuple[JointFitting, JointFit, JointFit]:
+    """A cloth with internal damping: without the usual effect, and with it."""
+    acting = CATALOGUE["internal_damping"]({"in_plane": 0.02, "bending": 0.2})
+    clips = [joint_clip(*clip(wind, (acting,)), FRAMES) for wind in WINDS]
+    usual = (CATALOGUE["internal_damping"](),)
+    fitting = JointFitting(clips, 1.2 * STIFFNESS, np.zeros(3), usual=usual)
+    plain = fitting.fitted((), fitting.start_fit())
+    return fitting, plain, fitting.fitted(fitting.usual, plain)
+
+
 class TestFits:
     def test_the_base_model_finds_what_made_its_clips(self, still: Problem) -> None:
         base = still.base
@@ -105,6 +119,25 @@ class TestFits:
         assert base.misfit < 0.02 * still.start.misfit
         assert np.exp(base.values[:3]) * 1.5 == pytest.approx(1.0, abs=0.25)
         assert base.values[3:] == pytest.approx(np.concatenate(WINDS), abs=0.15)
+
+    def test_how_far_an_effect_moves_the_cloth(self, dragged: Problem) -> None:
+        """As far as the clips themselves say: with the drag against without it, all else equal."""
+        fit, fitting = dragged.drag, dragged.fitting
+        strength = float(np.sqrt((fit.coefficients**2).mean()))
+        moved = travel(fitting.clips, fitting.start, fit, 0.3)
+        assert moved is not None
+        values = fit.values[:3]
+        of_clips = [clip(WINDS[0], effects)[0].tracked.positions for effects in (fit.effects[0], ())]
+        away = np.linalg.norm(of_clips[0] - of_clips[1], axis=-1)[2 * FRAMES // 3 :].mean() / 0.3
+        assert np.exp(values) * 1.5 == pytest.approx(1.0, abs=0.4)
+        assert moved * strength == pytest.approx(away, rel=0.4)
+        # Half the effect moves it by about half as much.
+        (acting,) = fit.effects[0]
+        half = acting_with(acting, 0.5 * fit.coefficients)
+        weaker = replace(fit, coefficients=0.5 * fit.coefficients, effects=[(half,)] * 2)
+        assert travel(fitting.clips, fitting.start, weaker, 0.3) == pytest.approx(moved, rel=0.3)
+        nothing = replace(fit, coefficients=np.zeros_like(fit.coefficients))
+        assert travel(fitting.clips, fitting.start, nothing, 0.3) is None
 
     def test_no_effect_gains_where_none_acts(self, still: Problem) -> None:
         assert still.base.misfit - still.drag.misfit < still.drag.occam
@@ -130,6 +163,48 @@ class TestFits:
         start = loose.start_fit()
         bought = loose.fitted((), start).misfit - loose.fitted((drag(0.0),), start).misfit
         assert bought < 0.3 * (dragged.base.misfit - dragged.drag.misfit)
+
+
+class TestUsualEffects:
+    """What the base model has of itself is no evidence for others, and they are fitted beside it."""
+
+    def test_the_base_model_has_them_where_clips_show_them(
+        self, damped: tuple[JointFitting, JointFit, JointFit], still: Problem
+    ) -> None:
+        _, plain, usual = damped
+        assert base_of_session(plain, usual) is usual
+        assert len(usual.own) == 2
+        fitting = JointFitting(
+            still.fitting.clips, still.fitting.start, np.zeros(3), usual=(CATALOGUE["internal_damping"](),)
+        )
+        assert base_of_session(still.base, fitting.fitted(fitting.usual, still.base)) is still.base
+
+    def test_other_effects_gain_nothing_from_them(
+        self, damped: tuple[JointFitting, JointFit, JointFit]
+    ) -> None:
+        fitting, plain, usual = damped
+        candidates = [drag(0.0), CATALOGUE["internal_damping"]()]
+        gains = []
+        for base in (plain, usual):
+            found = fitting.linearised(candidates, base, fitting.systems(candidates, base))
+            assert ("internal_damping" in found) is (base is plain)
+            gains.append(base.misfit - found["air_drag"].misfit)
+        assert gains[0] > 5 * max(gains[1], 1.0)
+
+    def test_a_hypothesis_keeps_their_coefficients_apart_from_its_own(
+        self, damped: tuple[JointFitting, JointFit, JointFit]
+    ) -> None:
+        fitting, _, usual = damped
+        effects = fitting.hypothesis(drag(0.0), usual)
+        assert [effect.NAME for effect in effects] == ["internal_damping", "air_drag"]
+        fit = fitting.fitted(effects, usual)
+        assert fit.misfit <= usual.misfit
+        assert (fit.n_usual, len(fit.own)) == (2, 3)
+        assert fit.own_covariance == pytest.approx(fit.covariance[2:, 2:])
+        candidates = [drag(0.0), CATALOGUE["internal_damping"]()]
+        linear = fitting.linearised(candidates, usual, fitting.systems(candidates, usual))["air_drag"]
+        assert (linear.n_usual, linear.names) == (2, fit.names)
+        assert linear.coefficients[:2] == pytest.approx(usual.coefficients)
 
 
 class TestShortWindows:

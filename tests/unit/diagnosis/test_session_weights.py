@@ -59,6 +59,22 @@ def test_a_model_that_is_wrong_anyhow_says_less() -> None:
     assert bad.nats("air_drag", weights) < good.nats("air_drag", weights) / 4
 
 
+def test_a_small_effect_of_one_kind_is_no_evidence_for_another() -> None:
+    """Solvers damp a little; that does not speak for a varying density, which takes up a part of it."""
+    weights = SessionWeights(smallest=0.01)
+    slopes = {"internal_damping": 280.0, "nonuniform_density": 200.0}
+    # The best damping moves the cloth by 0.28 %.
+    by_name = {
+        name: EffectEvidence(slope**2 / 2e3, (1e3,), (slope,), 3.0, 0.01) for name, slope in slopes.items()
+    }
+    found = MotionEvidence(ModelErrors(60.0, 120.0, USUAL_SHARE), by_name)
+    assert found.none(weights) > 50
+    p = chances(found, weights)
+    assert p[NONE] > 0.9
+    # Without regard to how far they move it, one of them is named.
+    assert chances(found, replace(weights, smallest=0.0))[NONE] < 0.01
+
+
 def test_where_the_best_model_is_nearly_right_differences_count_for_more() -> None:
     coarse, fine = SessionWeights(finest=1.0), SessionWeights(finest=0.25)
     clean, rough = evidence((40.0, 6.0, 5.0), 60.0), evidence((40.0, 6.0, 5.0), 600.0)
