@@ -33,7 +33,7 @@ from toile.diagnosis.tracked import Tracked
 from toile.generation.clip_plan import ClipPlan
 from toile.generation.out_of_family.from_blender import make_clips_with_blender, why_no_blender
 from toile.generation.out_of_family.from_mujoco import make_clips_with_mujoco, why_no_mujoco
-from toile.physics.grid_laws import GridLaw, angles, taut
+from toile.physics.grid_laws import GridLaw, angles, taut, taut_fitted
 from toile.reconstruction.scene_cloth import scene_cloth, template
 from toile.scenes.native import load_native
 from toile.scenes.scene import Scene
@@ -44,7 +44,7 @@ LAWS: dict[str, tuple[GridLaw, float]] = {
     "diagonals": (partial(taut, edge_compression=1.0, diagonal_compression=1.0), 1e-6),
     "diagonals that only pull": (partial(taut, edge_compression=1.0), 1e-6),
     "taut (0.5, 0.0)": (taut, 1e-6),
-    "taut, ratios fitted": (partial(taut, edge_compression=0.5, diagonal_compression=0.1), 1.0),
+    "taut, ratios fitted": (taut_fitted, 1.0),
 }
 """Laws, and the prior deviation of the logarithm of their ratios."""
 BLENDER_SEEDS = (401, 402, 403)

@@ -26,7 +26,7 @@ from toile.cli.configuration import CONF, register_resolvers
 from toile.cli.diagnose import session_problem
 from toile.diagnosis.effect_evidence import EffectEvidence
 from toile.diagnosis.effect_sensitivities import FORCES
-from toile.diagnosis.effect_size import travel
+from toile.diagnosis.effect_size import moved
 from toile.diagnosis.fingerprint import fingerprint
 from toile.diagnosis.joint_fit import JointFit
 from toile.diagnosis.pipeline import Pipeline
@@ -165,11 +165,11 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
         began = time.process_time()
         fit = fits[effect.NAME]
         against = plain if effect.NAME in base.names else base
-        before = _evidence(against, fit, None)
+        before = _evidence(against, fit)
         if effect in chosen:
             fit = fitting.fitted(fitting.hypothesis(effect, base), base)
-        moves = travel(fitting.clips, fitting.start, fit, model.width)
-        found = _evidence(against, fit, moves)
+        far = moved(fitting.clips, fitting.start, fit, model.width)
+        found = _evidence(against, fit)
         rows.append(
             {
                 "session": folder.name,
@@ -178,7 +178,7 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
                 "seconds": seconds,
                 "plain misfit": plain.misfit,
                 "base misfit": base.misfit,
-                "usual": " ".join(base.names),
+                "usual": " ".join(usual.names),
                 "cost of errors": errors.cost,
                 "expected cost": errors.expected,
                 "share": errors.share,
@@ -187,8 +187,7 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
                 "occam": found.occam,
                 "nats": found.nats(),
                 "nats before it is fitted": before.nats(),
-                "travel": found.travel,
-                "strength": float(np.sqrt((fit.own**2).mean())),
+                "moves the cloth by [% of the width]": 100 * far,
                 "information": " ".join(f"{value:.5g}" for value in found.information),
                 "slopes": " ".join(f"{value:.5g}" for value in found.slopes),
                 "fitted size": found.fitted_size,
@@ -200,8 +199,8 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
     return rows
 
 
-def _evidence(against: JointFit, fit: JointFit, moves: float | None) -> EffectEvidence:
-    return EffectEvidence.of(against.misfit - fit.misfit, fit.own, fit.own_covariance, fit.size, moves)
+def _evidence(against: JointFit, fit: JointFit) -> EffectEvidence:
+    return EffectEvidence.of(against.misfit - fit.misfit, fit.own, fit.own_covariance, fit.size)
 
 
 def _motion(

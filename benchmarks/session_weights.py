@@ -48,7 +48,10 @@ def cases_of(table: pd.DataFrame) -> tuple[list[SessionCase], list[str]]:
             ModelErrors(*(float(own[key].iloc[0]) for key in ("cost of errors", "expected cost", "share"))),
             {str(name): _effect(row) for name, row in by_name.iterrows()},
             learned,
-            tuple(str(own["usual"].iloc[0]).split()),
+            {
+                name: by_name.loc[name, "moves the cloth by [% of the width]"] / 100
+                for name in str(own["usual"].iloc[0]).split()
+            },
         )
         found.append(SessionCase(str(session), NONE if cause in AS_NONE else cause, evidence))
         clips.append("one" if "one clip" in str(rung) else "three")
@@ -57,9 +60,7 @@ def cases_of(table: pd.DataFrame) -> tuple[list[SessionCase], list[str]]:
 
 def _effect(row: pd.Series) -> EffectEvidence:
     information, slopes = (tuple(map(float, str(row[key]).split())) for key in ("information", "slopes"))
-    travel = float(row["travel"])
-    far = travel if np.isfinite(travel) else None
-    return EffectEvidence(float(row["drop"]), information, slopes, float(row["fitted size"]), far)
+    return EffectEvidence(float(row["drop"]), information, slopes, float(row["fitted size"]))
 
 
 def main() -> None:

@@ -21,9 +21,6 @@ from toile.effects.base import Effect
 
 Array = NDArray[np.float64]
 
-_NOTHING = 1e-6
-"""Coefficient in prior deviations that moves nothing."""
-
 _FEWEST = 8
 """Frames of a piece at least."""
 
@@ -49,8 +46,8 @@ def effect_size(mechanics: Mechanics, model: Refit) -> float:
     return float(np.mean(away))
 
 
-def travel(clips: Sequence[JointClip], start: Array, fit: JointFit, width: float) -> float | None:
-    """How far a hypothesis moves the cloth for each unit of its coefficients' root mean square [widths].
+def moved(clips: Sequence[JointClip], start: Array, fit: JointFit, width: float) -> float:
+    """How far the effect in question moves the cloth [widths].
 
     The first clip is simulated from its first frame to its last, with the effect and without, all else equal;
     what counts is the mean distance in the last third, as for sizes that a generated scene is asked for.
@@ -60,13 +57,9 @@ def travel(clips: Sequence[JointClip], start: Array, fit: JointFit, width: float
         start: material that log ratios refer to (P,).
         fit: in which one effect is in question.
         width: of the cloth [m].
-
-    Returns:
-        None where all coefficients are zero, or no piece of the clip can be simulated with them.
     """
-    strength = float(np.sqrt((fit.own**2).mean()))
-    if strength < _NOTHING:
-        return None
+    if not np.any(fit.own):
+        return 0.0
     clip, n_material = clips[0], len(start)
     # Effects of the base model act in both.
     usual = fit.effects[0][:-1] if fit.n_usual else ()
@@ -79,7 +72,7 @@ def travel(clips: Sequence[JointClip], start: Array, fit: JointFit, width: float
             break
         # What blows up is tried in shorter pieces.
         frames = frames // 2
-    return None if away is None else away / width / strength
+    return np.inf if away is None else away / width
 
 
 def _distance(
@@ -90,14 +83,14 @@ def _distance(
     away = []
     for window in tracked_windows(shooting, clip.windows[-1].last + 1):
         try:
-            moved = [
+            both = [
                 shooting.simulate(window, window.standardised, base, acting, clip.around)
                 for acting in (usual, effects)
             ]
         except FloatingPointError:
             return None
-        if not all(one.converged for one in moved):
+        if not all(one.converged for one in both):
             return None
-        distance = np.linalg.norm((moved[1].positions - moved[0].positions)[:: shooting.substeps], axis=-1)
+        distance = np.linalg.norm((both[1].positions - both[0].positions)[:: shooting.substeps], axis=-1)
         away.append(distance[2 * len(distance) // 3 :].mean())
     return float(np.mean(away))

@@ -14,7 +14,7 @@ from toile.atomic_file import written_atomically
 from toile.diagnosis.arrays import FRAMES_FILE, VERTICES_FILE
 from toile.diagnosis.decision import UNKNOWN, Calibration
 from toile.diagnosis.effect_sensitivities import FORCES
-from toile.diagnosis.effect_size import travel
+from toile.diagnosis.effect_size import moved
 from toile.diagnosis.findings import estimates
 from toile.diagnosis.fingerprint import fingerprint
 from toile.diagnosis.gap_maps import stage_shares
@@ -159,9 +159,11 @@ def diagnose_session(
     of_images = [clip.seen.findings for clip in clips]
     learned = learned_chances(clips, motion)
     fitting = model.fitting
-    travels = {name: travel(fitting.clips, fitting.start, fit, model.width) for name, fit in fits.items()}
+    every = {
+        name: moved(fitting.clips, fitting.start, usual, model.width) for name in usual.names if name in fits
+    }
     evidence = session_evidence(
-        base, fits, effects, of_images, errors, calibration, learned, weights, travels, plain
+        base, fits, effects, of_images, errors, calibration, learned, weights, every, plain
     )
     scale = evidence.scale
     alias = session_alias(model.fitting, moving, systems, weights.threshold, scale)

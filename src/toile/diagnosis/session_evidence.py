@@ -54,7 +54,7 @@ def session_evidence(
     calibration: Calibration,
     learned: Mapping[str, float] | None,
     weights: SessionWeights,
-    travels: Mapping[str, float | None] | None = None,
+    usual: Mapping[str, float] | None = None,
     plain: JointFit | None = None,
 ) -> SessionEvidence:
     """Put together what motion and images of all clips say.
@@ -68,11 +68,11 @@ def session_evidence(
         calibration: of the images' findings.
         learned: probabilities of the learned decision by label, None where there is none.
         weights: see SessionWeights.
-        travels: how far every effect moves the cloth, see EffectEvidence; None where that is not known.
+        usual: effects that every cloth has, with how far they move this one, see MotionEvidence.
         plain: the base model without its own effects; None where it has none.
     """
     by_name = {effect.NAME: effect for effect in effects}
-    motion = _of_motion(base, fits, errors, learned, travels or {}, plain)
+    motion = _of_motion(base, fits, errors, learned, usual or {}, plain)
     drops = {name: one.drop for name, one in motion.effects.items()}
     left = motion.over_usual(weights)
     scale = motion.scale(weights)
@@ -136,15 +136,15 @@ def _of_motion(
     fits: Mapping[str, JointFit],
     errors: ModelErrors,
     learned: Mapping[str, float] | None,
-    travels: Mapping[str, float | None],
+    usual: Mapping[str, float],
     plain: JointFit | None = None,
 ) -> MotionEvidence:
     own = {}
     for name, fit in fits.items():
         against = plain if plain is not None and name in base.names else base
         drop = against.misfit - fit.misfit
-        own[name] = EffectEvidence.of(drop, fit.own, fit.own_covariance, fit.size, travels.get(name))
-    return MotionEvidence(errors, own, learned, base.names)
+        own[name] = EffectEvidence.of(drop, fit.own, fit.own_covariance, fit.size)
+    return MotionEvidence(errors, own, learned, usual)
 
 
 def _of_images(effect: Effect, name: str, clips: Sequence[Mapping[str, Finding]]) -> Finding:

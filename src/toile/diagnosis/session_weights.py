@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -42,8 +42,9 @@ class SessionWeights:
     Attributes:
         usual: what errors of the base model's size cost a right model, over what they are expected to.
         finest: share of it below which smaller errors do not make differences count for more.
-        smallest: by how much an effect moves the cloth, in the last third of the first clip, that is noticed
-            [widths]; what moves it less is none.
+        usual_size: distance by which an effect that every cloth has usually moves it, in the last third of
+            the first clip [widths]: at that size, a cause and none are equally probable.
+        beyond: e-folds of the odds of such an effect for each logarithm beyond that.
         threshold: evidence at which an effect and none are equally probable [nats].
         temperature: evidence by which the odds of an effect grow e-fold [nats].
         learned: weight of the learned decision's log odds among effects.
@@ -54,10 +55,11 @@ class SessionWeights:
 
     usual: float = 1.0
     finest: float = 0.3
-    smallest: float = 0.005
-    threshold: float = 12.0
+    usual_size: float = 0.025
+    beyond: float = 12.0
+    threshold: float = 15.0
     temperature: float = 5.0
-    learned: float = 1.0
+    learned: float = 0.6
     strange: float = 4.0
     strangeness: float = 4.0
 
@@ -70,7 +72,7 @@ class SessionWeights:
         """
         try:
             values = read_json_object(path)["weights"]
-            names = {field.name for field in fields(SessionWeights)}
+            names = {one.name for one in fields(SessionWeights)}
             if set(values) != names or not all(np.isfinite(float(v)) for v in values.values()):
                 raise ValueError(f"weights are not {', '.join(sorted(names))}")
             return SessionWeights(**{name: float(value) for name, value in values.items()})
@@ -95,13 +97,14 @@ class MotionEvidence:
         base: smooth errors of the base model.
         effects: what the fit of every effect says.
         learned: probabilities of the learned decision by label, None where there is none.
-        usual: effects that the base model has; what is said of them is against a model without.
+        usual: effects that every cloth has, with the distance by which they move this one, see
+            effect_size.moved; what is said of them is against a model without.
     """
 
     base: ModelErrors
     effects: Mapping[str, EffectEvidence]
     learned: Mapping[str, float] | None = None
-    usual: tuple[str, ...] = ()
+    usual: Mapping[str, float] = field(default_factory=dict)
 
     def left(self, weights: SessionWeights) -> float:
         """Squared errors of the best hypothesis over those that were expected of it."""
@@ -114,19 +117,8 @@ class MotionEvidence:
         return self.left(weights) * (self.base.share / USUAL_SHARE) ** 2
 
     def nats(self, name: str, weights: SessionWeights) -> float:
-        """Log evidence of an effect that is noticed against none that is."""
-        own, scale = self.effects[name], self.scale(weights)
-        nats = own.nats(scale, weights.smallest)
-        if name in self.usual:
-            # The base model has as much of it as is not noticed.
-            nats -= own.unnoticed(scale, weights.smallest)
-        return nats - self.none(weights)
-
-    def none(self, weights: SessionWeights) -> float:
-        """Log evidence of no effect that is noticed against the base model: of the best one that is not."""
-        scale = self.scale(weights)
-        others = (e for name, e in self.effects.items() if name not in self.usual)
-        return max((e.unnoticed(scale, weights.smallest) for e in others), default=0.0)
+        """Log evidence of an effect against the base model."""
+        return self.effects[name].nats(self.scale(weights))
 
     def scale(self, weights: SessionWeights) -> float:
         """By how much all misfits are too large: what even the best hypothesis is wrong by is the noise."""
@@ -135,7 +127,11 @@ class MotionEvidence:
     def logit(self, name: str, weights: SessionWeights) -> float:
         """Log odds of an effect against none."""
         odds = weights.learned * _log_odds(self.learned, name, self.effects)
-        return (self.nats(name, weights) - weights.threshold) / weights.temperature + odds
+        logit = (self.nats(name, weights) - weights.threshold) / weights.temperature + odds
+        if name in self.usual:
+            # However sure it is that it acts, it is a cause only where it is more than usual.
+            logit = min(logit, weights.beyond * np.log(max(self.usual[name], _LEAST) / weights.usual_size))
+        return float(logit)
 
 
 @dataclass(frozen=True)
@@ -162,7 +158,7 @@ def learnt_weights(cases: Sequence[SessionCase], prior: SessionWeights | None = 
             ``strangeness`` stay: they need sessions whose cause is outside the catalogue.
     """
     begin = SessionWeights() if prior is None else prior
-    names = ("usual", "finest", "threshold", "temperature", "learned")
+    names = ("usual", "finest", "usual_size", "beyond", "threshold", "temperature", "learned")
     start = np.log([getattr(begin, name) for name in names])
 
     def of(logs: Array) -> SessionWeights:

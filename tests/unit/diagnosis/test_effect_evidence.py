@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.special import logsumexp
@@ -60,25 +58,3 @@ def test_nothing_gains_nothing() -> None:
     rng = np.random.default_rng(4)
     found = [fitted(10 * rng.normal(size=(120, 60)), rng.normal(size=120)).nats() for _ in range(5)]
     assert max(found) < 3
-
-
-def test_an_effect_that_is_too_small_to_be_noticed_is_none() -> None:
-    rng = np.random.default_rng(5)
-    design = 40 * rng.normal(size=(120, 3))
-    data = design @ np.array([0.05, -0.05, 0.05]) + rng.normal(size=120)
-    # It moves the cloth by 0.5 % of its width: sizes of 2 % and more do not fit it, smaller ones do.
-    found = replace(fitted(design, data), travel=0.1)
-    assert found.nats(1.0, 0.02) < found.unnoticed(1.0, 0.02)
-    assert found.nats(1.0, 0.001) > found.unnoticed(1.0, 0.001) + 5
-    # Without a smallest size, or where nobody knows how far it moves the cloth, none is a point.
-    assert found.unnoticed(1.0, 0.0) == replace(found, travel=None).unnoticed(1.0, 0.02) == 0.0
-    assert replace(found, travel=None).nats(1.0, 0.02) == found.nats()
-
-
-def test_strong_effects_are_not_bounded_by_the_usual_size_of_their_coefficients() -> None:
-    rng = np.random.default_rng(6)
-    design = rng.normal(size=(60, 2))
-    data = design @ np.array([40.0, -40.0]) + rng.normal(size=60)
-    found = fitted(design, data)
-    # Coefficients of 40 that move the cloth by 4 %.
-    assert replace(found, travel=0.001).nats(1.0, 0.01) > found.nats() + 20
