@@ -59,20 +59,25 @@ def test_a_model_that_is_wrong_anyhow_says_less() -> None:
     assert bad.nats("air_drag", weights) < good.nats("air_drag", weights) / 4
 
 
-def test_a_small_effect_of_one_kind_is_no_evidence_for_another() -> None:
-    """Solvers damp a little; that does not speak for a varying density, which takes up a part of it."""
-    weights = SessionWeights(smallest=0.01)
-    slopes = {"internal_damping": 280.0, "nonuniform_density": 200.0}
-    # The best damping moves the cloth by 0.28 %.
-    by_name = {
-        name: EffectEvidence(slope**2 / 2e3, (1e3,), (slope,), 3.0, 0.01) for name, slope in slopes.items()
-    }
-    found = MotionEvidence(ModelErrors(60.0, 120.0, USUAL_SHARE), by_name)
-    assert found.none(weights) > 50
-    p = chances(found, weights)
-    assert p[NONE] > 0.9
-    # Without regard to how far they move it, one of them is named.
-    assert chances(found, replace(weights, smallest=0.0))[NONE] < 0.01
+def test_what_every_cloth_has_is_a_cause_only_where_there_is_more_of_it() -> None:
+    weights = SessionWeights()
+    sure = evidence((3.0, 90.0, 2.0))
+    usual, more = (
+        replace(sure, usual={"internal_damping": size * weights.usual_size}) for size in (0.7, 1.5)
+    )
+    assert chances(sure, weights)["internal_damping"] > 0.99
+    assert chances(more, weights)["internal_damping"] > 0.9
+    assert chances(usual, weights)[NONE] > 0.8
+    # Much of it without evidence is no cause either.
+    nothing = replace(evidence((3.0, 2.0, 2.0)), usual={"internal_damping": 2 * weights.usual_size})
+    assert chances(nothing, weights)[NONE] > 0.6
+
+
+def test_what_the_base_model_explains_is_not_left_for_others() -> None:
+    weights = SessionWeights()
+    sure = evidence((3.0, 90.0, 2.0))
+    # Its errors are those that remain beside the usual effect, so its drop is none of theirs.
+    assert replace(sure, usual={"internal_damping": 0.01}).left(weights) > sure.left(weights)
 
 
 def test_where_the_best_model_is_nearly_right_differences_count_for_more() -> None:
