@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
+from kornia.filters import gaussian_blur2d
 from torch import Tensor
 
 from toile.errors import InputError
@@ -64,6 +65,18 @@ def test_silhouette_loss_pulls_over_a_gap() -> None:
     SilhouetteLoss(7.0, 1.0)(rendered(silhouette=silhouette), torch.zeros(1, 40, 40, 3), mask).backward()
     assert silhouette.grad is not None
     assert silhouette.grad[0, 20, 25] < 0
+
+
+def test_silhouette_loss_is_that_of_a_convolution() -> None:
+    generator = torch.Generator().manual_seed(0)
+    silhouette = torch.rand(2, 50, 71, generator=generator).requires_grad_()
+    mask = torch.rand(2, 50, 71, generator=generator)
+    blurred = gaussian_blur2d((silhouette - mask)[:, None], (43, 43), (7.0, 7.0), border_type="constant")
+    expected = 3.0 * blurred.abs().mean()
+    loss = SilhouetteLoss(7.0, 3.0)(rendered(silhouette=silhouette), torch.zeros(2, 50, 71, 3), mask)
+    assert loss.item() == pytest.approx(expected.item(), rel=1e-5)
+    wanted, found = (torch.autograd.grad(value, silhouette)[0] for value in (expected, loss))
+    torch.testing.assert_close(found, wanted, rtol=1e-3, atol=1e-3 * float(wanted.abs().max()))
 
 
 def field() -> Tensor:
