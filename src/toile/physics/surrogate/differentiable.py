@@ -92,13 +92,16 @@ class _FastEnergyGradient(torch.autograd.Function):
         v = gradients[0].double()
         largest = v.flatten(1).norm(dim=1)[:, None, None, None] + _NOTHING
         moved = _STEP / largest * v
-        ahead, behind = (kernels.energy_gradient(x + s * moved, k, rest_i, rest_j) for s in (1.0, -1.0))
-        to_x = (ahead - behind).double() * (largest / (2 * _STEP))
-        units = [
-            kernels.energy_gradient(x, unit.expand_as(k).contiguous(), rest_i, rest_j)
-            for unit in torch.eye(k.shape[1], dtype=k.dtype)
-        ]
-        to_k = torch.stack([(unit * v).sum((1, 2, 3)) for unit in units], 1).to(k.dtype)
+        # One launch for all: ahead, behind, and here with one stiffness at a time.
+        n = k.shape[1]
+        positions = torch.cat((x + moved, x - moved, x.repeat(n, 1, 1, 1)))
+        units = torch.eye(n, dtype=k.dtype).repeat_interleave(len(x), 0)
+        found = kernels.energy_gradient(
+            positions, torch.cat((k, k, units)), rest_i.repeat(n + 2, 1, 1), rest_j.repeat(n + 2, 1, 1)
+        ).double()
+        ahead, behind, *per_unit = found.split(len(x))
+        to_x = (ahead - behind) * (largest / (2 * _STEP))
+        to_k = torch.stack([(unit * v).sum((1, 2, 3)) for unit in per_unit], 1).to(k.dtype)
         return to_x, to_k, None, None
 
 
