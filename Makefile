@@ -88,6 +88,10 @@ simulators: setup ## Fit R1 and a generated scene with solver, hybrid and surrog
 stability: setup ## Fits 40 times longer than usual (SCENE=R1: half a day)
 	$(BIN)/python benchmarks/stability.py $(if $(SCENE),--scene $(SCENE))
 
+.PHONY: paper-recipe
+paper-recipe: setup ## The paper's recipe on R1, one factor at a time (hours): docs/results/paper_recipe.md; resumes
+	$(BIN)/python benchmarks/paper_recipe.py
+
 .PHONY: base-law
 base-law: setup ## Measure how far base laws miss cloth of an independent engine
 	$(BIN)/python benchmarks/base_law.py --side 16 --output docs/results/base_law.md

@@ -51,6 +51,8 @@ def overrides(option: str) -> list[str]:
     match group.split("/"):
         case ["windows"]:
             return [f"windows@optimization.stages.track.windows={name}"]
+        case ["simulator", "gradient"]:
+            return ["simulator=surrogate", option]
         case ["ablation_of", optimization]:
             return [f"optimization={optimization}", f"ablation={name}"]
     return [option]

@@ -140,11 +140,15 @@ def test_a_term_the_default_optimisation_does_not_have_cannot_be_removed() -> No
 
 def test_conventions_of_the_force_regularization_differ_as_documented() -> None:
     prefix = "loss.force_regularization."
-    assert changes(settings("experiment=paper"), settings("experiment=paper", "loss=published_code")) == {
+    printed = settings("experiment=paper", "loss=paper")
+    assert [printed[prefix + k] for k in ("alpha", "beta", "gamma")] == [1e-2, 1e-3, 1e-2]
+    assert changes(printed, settings("experiment=paper", "loss=published_code")) == {
         f"{prefix}beta": 1e-2,
         f"{prefix}gamma": 1e-3,
         f"{prefix}reduction": "mean",
     }
+    for adam in ("experiment=paper", "optimization=adam"):
+        assert settings(adam)[prefix + "reduction"] == "mean"
 
 
 def test_paper_experiment() -> None:
@@ -162,8 +166,17 @@ def test_paper_experiment() -> None:
     assert paper["optimization.first_frames"] == 10
     assert paper["optimization.cycles_per_frame"] == 5
     regularization = "loss.force_regularization."
-    assert [paper[regularization + k] for k in ("alpha", "beta", "gamma")] == [1e-2, 1e-3, 1e-2]
-    assert paper[regularization + "reduction"] == "sum"
+    assert [paper[regularization + k] for k in ("alpha", "beta", "gamma")] == [1e-2, 1e-2, 1e-3]
+    assert paper[regularization + "reduction"] == "mean"
+
+
+def test_the_surrogate_has_two_derivatives() -> None:
+    """And no other simulator has a choice."""
+    through = settings("simulator=surrogate", "simulator/gradient=backprop")
+    kinds = changes(settings("simulator=surrogate", "simulator/gradient=implicit"), through)
+    assert list(kinds) == ["simulator.build.gradient._target_"]
+    with pytest.raises(ConfigCompositionException, match="simulator/gradient"):
+        settings("simulator=implicit", "simulator/gradient=backprop")
 
 
 def test_pages_know_what_the_stiffness_of_a_recipe_is_worth() -> None:

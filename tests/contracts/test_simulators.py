@@ -13,6 +13,7 @@ from toile.physics.implicit.simulator import ImplicitSimulator
 from toile.physics.rollout import rollout
 from toile.physics.simulator import SimulationError, Simulator, StepResult, StepStatus
 from toile.physics.state import State
+from toile.physics.surrogate.gradients import Backpropagation, ImplicitFunction
 from toile.physics.surrogate.simulator import SurrogateSimulator
 
 GRID, SIZE, STEP = (5, 6), (0.2, 0.25), 1 / 60
@@ -46,6 +47,9 @@ SIMULATORS = {
     "hybrid, BDF2": lambda cloth, h: hybrid(cloth, h, BDF2()),
     "surrogate, backward Euler": lambda cloth, h: SurrogateSimulator(cloth, h, BackwardEuler(), 2),
     "surrogate, BDF2": lambda cloth, h: SurrogateSimulator(cloth, h, BDF2(), 2),
+    "surrogate, backpropagation": lambda cloth, h: SurrogateSimulator(
+        cloth, h, BDF2(), 2, gradient=Backpropagation()
+    ),
 }
 
 
@@ -217,9 +221,15 @@ def test_gradient_of_a_rollout_along_a_random_direction(make):
     slope = sum(float((g * along[k]).sum()) for k, g in zip(inputs, gradients, strict=True))
     eps = 1e-3
     ahead, behind = (loss({k: v + s * eps * along[k] for k, v in inputs.items()}) for s in (1, -1))
-    # Worst seen 1.3e-5. The surrogate's derivatives are those of the minimum that it comes close to.
-    tolerance = 0.2 if isinstance(simulator, SurrogateSimulator) else 1e-4
-    assert slope == pytest.approx(float((ahead - behind) / (2 * eps)), rel=tolerance)
+    assert slope == pytest.approx(float((ahead - behind) / (2 * eps)), rel=tolerance_of(simulator))
+
+
+def tolerance_of(simulator):
+    """Of a derivative against a finite difference; worst seen of the solver 1.3e-5."""
+    if not isinstance(simulator, SurrogateSimulator):
+        return 1e-4
+    # Either those of the minimum that the network comes close to, or its own in single precision.
+    return 0.2 if isinstance(simulator.gradient, ImplicitFunction) else 0.005
 
 
 @pytest.mark.parametrize("name", ["positions", "past", "forces", "boundary", "material", "guess"])

@@ -137,8 +137,8 @@ class LinearizableSimulator(Simulator):
             ]
         found = torch.from_numpy(np.stack([s.positions for s in solutions]))
         forces = self._with_hidden_gradients(forces, contexts, formula, prediction, found)
-        positions: Tensor = _ImplicitStep.apply(
-            self, inertia, solutions, scenes, found, prediction, stiffness, forces, boundary
+        positions = self._with_gradients(
+            state, inertia, solutions, scenes, found, prediction, stiffness, forces, boundary
         )
         new_history = torch.cat((positions[:, None], history), dim=1)[:, : self.n_past + 1]
         d = torch.tensor(formula.velocity, dtype=history.dtype)
@@ -150,6 +150,24 @@ class LinearizableSimulator(Simulator):
             residual=tuple(s.residual for s in solutions),
             linearization=tuple(s.linearization for s in solutions),
         )
+
+    def _with_gradients(
+        self,
+        state: State,
+        inertia: Array,
+        solutions: list[StepSolution],
+        scenes: list[SceneTerms],
+        found: Tensor,
+        prediction: Tensor,
+        stiffness: Tensor,
+        forces: Tensor,
+        boundary: Tensor,
+    ) -> Tensor:
+        """The positions that the step has found (B, N, 3) [m], with the derivative of the minimum."""
+        positions: Tensor = _ImplicitStep.apply(
+            self, inertia, solutions, scenes, found, prediction, stiffness, forces, boundary
+        )
+        return positions
 
     @property
     def inertia(self) -> NDArray[np.float64]:

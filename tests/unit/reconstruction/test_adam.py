@@ -33,6 +33,18 @@ def test_frames_are_added_one_by_one(adam: MakeAdam) -> None:
     assert adam(first_frames=None).n_frames(0, 12) == 12
 
 
+def test_nothing_in_a_fit_is_random(problem: MakeProblem, adam: MakeAdam) -> None:
+    after = []
+    for seed in (0, 1):
+        torch.manual_seed(seed)
+        p, recipe = problem(), adam()
+        recipe.start(p)
+        recipe.cycle(p, 0)
+        after.append(values(p))
+    for name, value in after[0].items():
+        assert torch.equal(after[1][name], value), name
+
+
 def test_a_few_cycles_lower_the_loss(problem: MakeProblem, adam: MakeAdam) -> None:
     # The learning rates of the wind and the pinned vertices oscillate at first on a scene that small.
     p, recipe = problem(), adam(first_frames=None)

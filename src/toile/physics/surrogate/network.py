@@ -83,20 +83,20 @@ class GatedUNet(nn.Module):
         return sum(p.numel() for p in self.parameters())
 
     def forward(self, problem: StepProblem, positions: Tensor, residual: Tensor) -> Tensor:
-        """Displacement (B, H, W, 3), zero at pinned vertices, differentiable in the weights only.
+        """Displacement (B, H, W, 3), zero at pinned vertices, differentiable in the weights.
 
         Args:
-            problem: the step.
+            problem: the step; a DifferentiableStepProblem makes the displacement differentiable in what it
+                holds, and in positions and residual.
             positions: current guess (B, H, W, 3).
             residual: out-of-balance force there (B, H, W, 3).
         """
-        with torch.no_grad():
-            own, *coarser = self._levels(problem, positions, residual)
-            height, width = own.inputs.shape[1:3]
-            patches = functional.pad(
-                own.inputs.permute(0, 3, 1, 2), (0, width % _PATCH, 0, height % _PATCH), mode="replicate"
-            )
-            patches = functional.pixel_unshuffle(patches, _PATCH)
+        own, *coarser = self._levels(problem, positions, residual)
+        height, width = own.inputs.shape[1:3]
+        patches = functional.pad(
+            own.inputs.permute(0, 3, 1, 2), (0, width % _PATCH, 0, height % _PATCH), mode="replicate"
+        )
+        patches = functional.pixel_unshuffle(patches, _PATCH)
         skips: list[Tensor] = []
         h = patches
         for index, level in enumerate(coarser):
@@ -125,16 +125,16 @@ class GatedUNet(nn.Module):
     def _levels(self, problem: StepProblem, positions: Tensor, residual: Tensor) -> list[_Level]:
         x, r, pinned = positions - positions.mean((1, 2), keepdim=True), residual, 1.0 - problem.free
         k = problem.stiffness
-        tension = kernels.tensions(positions, k, problem.rest_lengths_i, problem.rest_lengths_j)
+        tension = problem.tensions(positions)
         material = 0.2 * k.log() - 0.2 * k.new_tensor([5.0, 0.0, 0.0])
         levels = []
         for level in range(len(self.widths) + 1):
             if level:
-                stacked = torch.cat((x.float(), r, tension, pinned[..., None]), -1).permute(0, 3, 1, 2)
+                stacked = torch.cat((x.to(r.dtype), r, tension, pinned[..., None]), -1).permute(0, 3, 1, 2)
                 stacked = _halve(stacked).permute(0, 2, 3, 1)
                 x, r = stacked[..., :3].double(), stacked[..., 3:6]
                 tension, pinned = stacked[..., 6:9], stacked[..., 9]
-            frames, inputs = kernels.vertex_inputs(x, r, tension, pinned, problem.masses, k, level)
+            frames, inputs = problem.vertex_inputs(x, r, tension, pinned, level)
             levels.append(_Level(frames, inputs, material))
         return levels
 
@@ -159,11 +159,16 @@ class _Level:
         force = _magnitude(inputs[..., 0:3])
         self.in_plane = _magnitude(inputs[..., 3:5])
         self.normal = _magnitude(inputs[..., 5:6])
-        self.direct = inputs[..., 3:6].clone()
-        inputs[..., 0:3] /= force
-        inputs[..., 3:5] /= self.in_plane
-        inputs[..., 5:6] /= self.normal
-        self.inputs = inputs
+        self.direct = inputs[..., 3:6]
+        self.inputs = torch.cat(
+            (
+                _over(inputs[..., 0:3], force),
+                _over(inputs[..., 3:5], self.in_plane),
+                _over(inputs[..., 5:6], self.normal),
+                inputs[..., 6:],
+            ),
+            -1,
+        )
         logs = torch.cat((force, self.in_plane, self.normal), -1)[:, 0, 0].log()
         self.scalars = torch.cat((0.2 * logs, material), -1)
 
@@ -182,9 +187,19 @@ class _Level:
         return (self.frames * local[..., None]).sum(-2)
 
 
+# Keeps a cloth in perfect balance from dividing zero by zero.
+_NOTHING = 1e-20
+
+
 def _magnitude(vectors: Tensor) -> Tensor:
-    # The tiny constant only keeps a cloth in perfect balance from dividing zero by zero.
-    return vectors.square().mean((1, 2, 3), keepdim=True).sqrt() + 1e-20
+    squared = vectors.square().mean((1, 2, 3), keepdim=True)
+    there = squared > 0
+    return torch.where(there, torch.where(there, squared, 1.0).sqrt(), 0.0) + _NOTHING
+
+
+def _over(vectors: Tensor, magnitude: Tensor) -> Tensor:
+    """Magnitudes divided out; where there are none, vectors stay zero, and so do their derivatives."""
+    return vectors / torch.where(magnitude > 2 * _NOTHING, magnitude, 1.0)
 
 
 def _halve(grids: Tensor) -> Tensor:

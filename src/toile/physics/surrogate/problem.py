@@ -65,7 +65,8 @@ class StepProblem:
 
     def potential(self, positions: Tensor) -> Tensor:
         """Φ at positions (B, H, W, 3), up to a constant; (B,) float64."""
-        energies = kernels.energies(positions, self.stiffness, self.rest_lengths_i, self.rest_lengths_j)
+        numbers = (k.detach().float() for k in (self.stiffness, self.rest_lengths_i, self.rest_lengths_j))
+        energies = kernels.energies(positions, *numbers)
         away = positions - self.prediction
         inertia = 0.5 * (self.masses[..., None] * away.square()).sum((1, 2, 3))
         # Relative to x̂, so that a cloth far from the origin loses no digits.
@@ -88,8 +89,19 @@ class StepProblem:
             axis,
         )
 
+    def tensions(self, positions: Tensor) -> Tensor:
+        """Tensions at every vertex, (B, H, W, 3), see ``kernels.tensions``."""
+        return kernels.tensions(positions, self.stiffness, self.rest_lengths_i, self.rest_lengths_j)
+
+    def vertex_inputs(
+        self, positions: Tensor, residual: Tensor, tension: Tensor, pinned: Tensor, level: int
+    ) -> tuple[Tensor, Tensor]:
+        """Frames and inputs of the network on a coarsened grid, see ``kernels.vertex_inputs``."""
+        return kernels.vertex_inputs(positions, residual, tension, pinned, self.masses, self.stiffness, level)
+
     def best_start(self) -> Tensor:
         """The candidate start of lowest Φ, one for each problem, (B, H, W, 3)."""
-        values = torch.stack([self.potential(start) for start in self.starts.unbind(1)], 1)
-        best = torch.nan_to_num(values, nan=torch.inf).argmin(1)
+        with torch.no_grad():
+            values = torch.stack([self.potential(start) for start in self.starts.unbind(1)], 1)
+            best = torch.nan_to_num(values, nan=torch.inf).argmin(1)
         return self.starts[torch.arange(len(best), device=best.device), best]

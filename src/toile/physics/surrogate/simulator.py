@@ -21,6 +21,7 @@ from toile.physics.material import Material
 from toile.physics.simulator import StepStatus
 from toile.physics.state import State
 from toile.physics.step_terms import StepTerm
+from toile.physics.surrogate.gradients import ImplicitFunction, StepGradient, UnrolledStep
 from toile.physics.surrogate.problem import StepProblem
 from toile.physics.surrogate.weights import load_weights
 from toile.physics.units import NetworkUnits
@@ -33,9 +34,9 @@ Array = NDArray[np.float64]
 class SurrogateSimulator(LinearizableSimulator):
     """The implicit step of the same integrator, solved by the network instead of Newton's method.
 
-    One batch is one call of the network; a guess is ignored. Gradients are those of the implicit function
-    theorem at the network's solution: they are as exact as the solution is, and far cheaper than
-    backpropagation through the network.
+    One batch is one call of the network; a guess is ignored. Gradients are by default those of the implicit
+    function theorem at the network's solution: they are as exact as the solution is, and cheaper than
+    backpropagation through the network, which is the other choice. Linearisations are of the first kind.
 
     Args:
         cloth: a grid at least 4×4, at rest flat with right angles, uniform areal density.
@@ -44,6 +45,7 @@ class SurrogateSimulator(LinearizableSimulator):
         passes: passes of the network per step; 0 leaves the line relaxation alone.
         sweeps: relaxations of the warp and weft lines after each pass.
         weights: file written by ``toile train``; those of the package if None.
+        gradient: see gradients.
         terms: must be empty: the network knows the plain step only.
 
     Raises:
@@ -59,6 +61,7 @@ class SurrogateSimulator(LinearizableSimulator):
         passes: Count,
         sweeps: CountOrZero = 2,
         weights: str | Path | None = None,
+        gradient: StepGradient | None = None,
         terms: Sequence[StepTerm] = (),
     ) -> None:
         if terms:
@@ -75,6 +78,7 @@ class SurrogateSimulator(LinearizableSimulator):
             raise ValueError(f"sweeps: expected at least 1, got {sweeps}")
         self.passes = passes
         self.sweeps = sweeps
+        self.gradient = gradient or ImplicitFunction()
         self.surrogate = load_weights(None if weights is None else Path(weights))
         self._grid = _checked_grid(cloth)
         height, width = self._grid
@@ -92,11 +96,10 @@ class SurrogateSimulator(LinearizableSimulator):
     def _starts(
         self, state: State, material: Material, forces: Tensor, boundary: Tensor, guess: Tensor | None
     ) -> Tensor:
-        now = state.positions.detach()
         # Standing still is among the starts: then backward Euler never gains energy (see docs/surrogate.md).
         # No guess: the network stops where its passes end, and what a motion is must follow from its past and
         # its forces alone.
-        return torch.stack((now, *extrapolations(now, state.past.detach())), 1)
+        return _candidates(state).detach()
 
     @torch.no_grad()
     def _solve(
@@ -111,50 +114,96 @@ class SurrogateSimulator(LinearizableSimulator):
         *,
         linearize: bool,
     ) -> list[StepSolution]:
-        units = NetworkUnits(self._mass, self._length, float(np.sqrt(self._mass / inertia.max())))
-        # Coordinates stay small wherever the cloth is.
-        origin = prediction.mean(1)[:, None]
-        problem = self._problem(starts, prediction, boundary, forces, stiffness, inertia, units, origin)
+        problem, origin = self._problem(
+            torch.from_numpy(starts),
+            torch.from_numpy(prediction),
+            torch.from_numpy(boundary),
+            torch.from_numpy(forces),
+            torch.from_numpy(stiffness),
+            inertia,
+        )
         solved, residual = self.surrogate.solve(problem, self.passes, self.sweeps)
-        positions = solved.numpy().reshape(prediction.shape) * self._length + origin
+        positions = (solved.reshape(prediction.shape) * self._length + origin).numpy()
         positions[:, self.assembly.pinned] = boundary
-        largest = residual.flatten(1).abs().amax(1).tolist()
+        largest = (residual.flatten(1).abs().amax(1) * self._units(inertia).force).tolist()
         return [
-            self._solution(x, k, float(r) * units.force, inertia, linearize=linearize)
+            self._solution(x, k, r, inertia, linearize=linearize)
             for x, k, r in zip(positions, stiffness, largest, strict=True)
         ]
 
+    def _with_gradients(
+        self,
+        state: State,
+        inertia: Array,
+        solutions: list[StepSolution],
+        scenes: list[SceneTerms],
+        found: Tensor,
+        prediction: Tensor,
+        stiffness: Tensor,
+        forces: Tensor,
+        boundary: Tensor,
+    ) -> Tensor:
+        """See LinearizableSimulator; the derivative is the one chosen."""
+
+        def of_minimum() -> Tensor:
+            return super(SurrogateSimulator, self)._with_gradients(
+                state, inertia, solutions, scenes, found, prediction, stiffness, forces, boundary
+            )
+
+        def of_computation() -> Tensor:
+            problem, origin = self._problem(
+                _candidates(state), prediction, boundary, forces, stiffness, inertia
+            )
+            inside = ((found - origin) / self._length).reshape(problem.prediction.shape)
+            asked = (problem.starts, problem.prediction, problem.forces, problem.stiffness)
+            solved: Tensor = UnrolledStep.apply(
+                self.surrogate, self.passes, self.sweeps, problem, inside, *asked
+            )
+            positions = solved.reshape(found.shape) * self._length + origin
+            return positions.index_copy(1, self.cloth.pinned, boundary)
+
+        return self.gradient.positions(of_minimum, of_computation)
+
+    def _units(self, inertia: Array) -> NetworkUnits:
+        return NetworkUnits(self._mass, self._length, float(np.sqrt(self._mass / inertia.max())))
+
     def _problem(
         self,
-        starts: Array,
-        prediction: Array,
-        boundary: Array,
-        forces: Array,
-        stiffness: Array,
+        starts: Tensor,
+        prediction: Tensor,
+        boundary: Tensor,
+        forces: Tensor,
+        stiffness: Tensor,
         inertia: Array,
-        units: NetworkUnits,
-        origin: Array,
-    ) -> StepProblem:
-        """The steps in network units."""
+    ) -> tuple[StepProblem, Tensor]:
+        """The steps in network units, and their origins (B, 1, 3) [m].
+
+        Coordinates stay small wherever the cloth is; as moving the world moves the answer, an origin is a
+        constant.
+        """
+        units = self._units(inertia)
+        origin = prediction.detach().mean(1, keepdim=True)
+        fall = prediction + forces / torch.from_numpy(inertia)[:, None]
+        candidates = torch.cat((starts, fall[:, None]), 1)
+        pinned = boundary[:, None].expand(-1, candidates.shape[1], -1, -1)
+        candidates = candidates.index_copy(2, self.cloth.pinned, pinned)
+        scale = torch.tensor([units.stretching, units.energy, units.energy], dtype=stiffness.dtype)
+
+        def grid(points: Tensor) -> Tensor:
+            return points.reshape(*points.shape[:-2], *self._grid, 3)
+
         batch = len(prediction)
-        fall = prediction + forces / inertia[:, None]
-        candidates = np.concatenate((starts, fall[:, None]), 1)
-        candidates[:, :, self.assembly.pinned] = boundary[:, None]
-        scale = np.array([units.stretching, units.energy, units.energy])
-
-        def grid(points: Array) -> Tensor:
-            return torch.from_numpy(points).reshape(*points.shape[:-2], *self._grid, 3)
-
-        return StepProblem(
+        problem = StepProblem(
             prediction=grid((prediction - origin) / self._length),
             starts=grid((candidates - origin[:, None]) / self._length),
             forces=grid(forces / units.force).float(),
-            stiffness=torch.from_numpy(stiffness / scale).float(),
+            stiffness=(stiffness / scale).float(),
             masses=self._grid_masses,
             free=self._free.expand(batch, -1, -1),
             rest_lengths_i=self._rest_i.expand(batch, -1, -1),
             rest_lengths_j=self._rest_j.expand(batch, -1, -1),
         )
+        return problem, origin
 
     def _solution(
         self, positions: Array, stiffness: Array, residual: float, inertia: Array, *, linearize: bool
@@ -168,6 +217,11 @@ class SurrogateSimulator(LinearizableSimulator):
                 self.assembly, self.solver, positions, unit_gradients, stiffness, inertia
             )
         return StepSolution(positions, StepStatus.CONVERGED, 0, residual, linearization)
+
+
+def _candidates(state: State) -> Tensor:
+    """Standing still, and the past continued, (B, G, N, 3) [m]."""
+    return torch.stack((state.positions, *extrapolations(state.positions, state.past)), 1)
 
 
 def _checked_grid(cloth: Cloth) -> tuple[int, int]:

@@ -69,6 +69,12 @@ class Surrogate(nn.Module):
         Φ never ends above its value at the best start: a displacement that would raise it is halved up to
         ``halvings`` times and then left out.
         """
+        return self.unrolled(problem, n_passes, sweeps, halvings)
+
+    def unrolled(
+        self, problem: StepProblem, n_passes: int, sweeps: int, halvings: int = 3
+    ) -> tuple[Tensor, Tensor]:
+        """The same with a graph: differentiable in all that a DifferentiableStepProblem holds."""
         x = problem.best_start()
         x, r = self._settle(problem, x, problem.residual(x), halvings)
         for _ in range(n_passes):
@@ -141,7 +147,7 @@ def _descend(
     """Move along the displacement, farther or less far where that is better, and only where Φ falls."""
     ahead = problem.residual(x + displacement)
     along, curvature = (_dot(displacement, f) for f in (r, r - ahead))
-    length = (along / curvature).nan_to_num(nan=1.0).clamp(0.0, _LONGEST_STEP)
+    length = _ratio(along, curvature).clamp(0.0, _LONGEST_STEP)
     length = torch.where((length - 1).abs() <= _CLOSE_TO_WHOLE, 1.0, length)
     for _ in range(halvings + 1):
         trial = x + _wide(length) * displacement
@@ -151,6 +157,13 @@ def _descend(
             break
         length = torch.where(lower, length, 0.5 * length)
     return torch.where(_wide(lower), trial, x), torch.where(_wide(lower), r_trial, r)
+
+
+def _ratio(along: Tensor, curvature: Tensor) -> Tensor:
+    """Their ratio, 1 where both vanish; where there is no curvature, it has no derivative."""
+    curved = curvature != 0
+    straight = (along / curvature).detach().nan_to_num(nan=1.0)
+    return torch.where(curved, along / torch.where(curved, curvature, 1.0), straight)
 
 
 def _wide(per_sample: Tensor) -> Tensor:

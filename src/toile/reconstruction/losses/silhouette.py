@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Annotated, final
 
-from kornia.filters import gaussian_blur2d
+import torch
 from torch import Tensor
 
 from toile.limits import NonNegative, Positive, Unit
@@ -31,8 +32,21 @@ class SilhouetteLoss(VideoLoss):
 
     def __call__(self, rendered: RenderedImages, frames: Tensor, masks: Tensor) -> Tensor:
         """See VideoLoss."""
-        size = 2 * int(_CUTOFF * self.sigma + 0.5) + 1
         # The blur is linear: one pass over the difference serves both masks.
-        difference = (rendered.silhouette - masks)[:, None]
-        blurred = gaussian_blur2d(difference, (size, size), (self.sigma, self.sigma), border_type="constant")
-        return self.weight * blurred.abs().mean()
+        difference = rendered.silhouette - masks
+        rows, columns = (_blur_matrix(n, self.sigma).to(difference) for n in difference.shape[-2:])
+        return self.weight * (rows @ difference @ columns).abs().mean()
+
+
+@lru_cache(maxsize=8)
+def _blur_matrix(n: int, sigma: float) -> Tensor:
+    """Symmetric matrix (n, n) that blurs a line of n pixels with nothing beyond its ends.
+
+    On one core a product with it is several times faster than a convolution, whose derivative torch computes
+    by another convolution that is slower still.
+    """
+    pixel = torch.arange(n, dtype=torch.float64)
+    distance = (pixel[:, None] - pixel[None, :]).abs()
+    reach = int(_CUTOFF * sigma + 0.5)
+    total = torch.exp(-0.5 * (torch.arange(-reach, reach + 1, dtype=torch.float64) / sigma) ** 2).sum()
+    return torch.where(distance <= reach, torch.exp(-0.5 * (distance / sigma) ** 2) / total, 0.0)
