@@ -224,8 +224,11 @@ def _motion(
 def summary(table: pd.DataFrame) -> pd.DataFrame:
     """Per rung: which effect leads, by how much, and how far nulls go."""
     rows = []
-    for (rung, session), own in table.groupby(["rung", "session"], sort=False):
+    for (rung, session), every in table.groupby(["rung", "session"], sort=False):
         truth = cause_of(str(session))
+        usual = every["usual"] == every["effect"]
+        # What the base model has of itself is no rival.
+        own = every[~usual | (every["effect"] == truth)]
         best = own.sort_values("nats", ascending=False).iloc[0]
         of_truth = own.loc[own["effect"] == truth, "nats"]
         rivals = own.loc[own["effect"] != truth, "nats"].max()
@@ -238,6 +241,9 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
                 "leads": best["effect"],
                 "truth leads": best["effect"] == truth,
                 "its gain [nats]": best["nats"],
+                "usual damping moves the cloth by [%]": every.loc[
+                    usual, "moves the cloth by [% of the width]"
+                ].max(),
                 "truth over best rival [nats]": of_truth.iloc[0] - rivals if len(of_truth) else np.nan,
             }
         )
@@ -298,9 +304,11 @@ def page(table: pd.DataFrame) -> str:
         }
     )
     counts = counts.astype(object).where(counts.notna(), "–")
-    lines += [counts.reset_index().to_markdown(index=False, floatfmt=".1f"), ""]
+    lines += [counts.rename_axis("rung").reset_index().to_markdown(index=False, floatfmt=".1f"), ""]
     lines += [
-        f"Without {' and '.join(WITHOUT_TRACE)}: the former is a wind, the latter is seen in images.",
+        f"Without {' and '.join(WITHOUT_TRACE)}: the former is a wind, the latter is seen in images. "
+        "Damping, which the base model has where a clip shows it, counts as an effect only where it is the "
+        "cause; its gain is against a model without.",
         "",
     ]
     over = sessions["truth over best rival [nats]"].map(lambda nats: "–" if np.isnan(nats) else f"{nats:.2f}")

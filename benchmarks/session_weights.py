@@ -7,6 +7,7 @@ Reported probabilities are those of weights that the session had no part in.
 
 from __future__ import annotations
 
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -98,7 +99,7 @@ def main() -> None:
         "|---|---|---|",
         *(
             f"| {name} | {getattr(weights, name):.3g} | {getattr(by_hand, name):.3g} |"
-            for name in ("usual", "finest", "threshold", "temperature", "learned", "strange", "strangeness")
+            for name in (field.name for field in fields(SessionWeights))
         ),
         "",
     ]

@@ -158,7 +158,9 @@ def learnt_weights(cases: Sequence[SessionCase], prior: SessionWeights | None = 
             ``strangeness`` stay: they need sessions whose cause is outside the catalogue.
     """
     begin = SessionWeights() if prior is None else prior
-    names = ("usual", "finest", "usual_size", "beyond", "threshold", "temperature", "learned")
+    names: tuple[str, ...] = ("usual", "finest", "threshold", "temperature", "learned")
+    if any(case.evidence.usual for case in cases):
+        names = (*names, "usual_size", "beyond")
     start = np.log([getattr(begin, name) for name in names])
 
     def of(logs: Array) -> SessionWeights:
