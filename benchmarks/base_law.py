@@ -154,7 +154,8 @@ def page(table: pd.DataFrame, side: int, frames: int) -> str:
             "",
             "Everything that was fitted:",
             "",
-            table.to_markdown(index=False, floatfmt=".3g"),
+            # Laws without ratios have none.
+            table.astype(object).where(table.notna(), "–").to_markdown(index=False, floatfmt=".3g"),
             "",
         )
     )

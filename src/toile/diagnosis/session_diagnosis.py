@@ -62,7 +62,7 @@ from toile.diagnosis.stored_values import ValueStore
 from toile.diagnosis.verdict import is_clear, verdict_of
 from toile.diagnosis.workers import ALONE, Workers
 from toile.effects.base import Effect
-from toile.effects.catalogue import STAGES
+from toile.effects.catalogue import CATALOGUE, STAGES
 from toile.generation.clip_plan import MOTIONS
 from toile.scenes.session import Session
 
@@ -123,7 +123,9 @@ def diagnose_session(
     effects = tuple(effect for effect in effects if effect.NAME not in known)
     moving = [effect for effect in effects if isinstance(effect, FORCES)]
     times = StageTimes.going_on(folder / TIMES_FILE)
-    store = StageStore(folder, ValueStore((*KINDS, JointFit, RefinedMotion), effects), times)
+    # Usual effects act whether they are candidates or not.
+    acting = (*(CATALOGUE[name]() for name in together.usual), *effects)
+    store = StageStore(folder, ValueStore((*KINDS, JointFit, RefinedMotion), acting), times)
     pipeline = Pipeline(store, progress)
     names = list(dict.fromkeys(clip.device for clip in session.clips))
     devices = [names.index(clip.device) for clip in session.clips]
