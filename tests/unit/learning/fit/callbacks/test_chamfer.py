@@ -68,7 +68,8 @@ def test_over_all_frames_it_is_the_chamfer_distance_of_the_evaluation(
     scene = module.reconstruction.scene
     assert module.report is not None
     motion = module.report.positions.reshape(scene.n_frames, *scene.grid, 3)
-    assert rows[-1][CHAMFER] == evaluate(motion, scene, seed=3).mean("chamfer")
+    # The same numbers, added up in another order.
+    assert rows[-1][CHAMFER] == pytest.approx(evaluate(motion, scene, seed=3).mean("chamfer"), rel=1e-12)
 
 
 def test_frames_the_fit_has_not_reached_are_left_out(
