@@ -393,7 +393,15 @@ class JointFitting:
         """Of every clip around a fit of the base model, with the coefficients of effects that may be added.
 
         They are over [material | wind | coefficients | local unknowns] of the clip, see ``fisher``.
+
+        Raises:
+            ValueError: an effect of the fit is missing among the effects.
         """
+        absent = set(fit.names) - {effect.NAME for effect in effects}
+        if absent:
+            raise ValueError(
+                f"effects: expected all of the base model's, without {', '.join(sorted(absent))}"
+            )
         layout = self.layout(effects)
         place = self._placed(layout, fit)
         return [self._systems(layout, place, c, workers, motion=False) for c in range(len(self.clips))]

@@ -147,9 +147,12 @@ def diagnose_session(
     base = base_of_session(plain, usual)
     weights = SessionWeights.load()
     progress("what every effect would change", 0.55)
-    systems = model.fitting.systems(moving, base, workers)
-    fits = model.fitting.linearised(moving, base, systems)
-    fits |= {effect.NAME: usual for effect in moving if effect.NAME in usual.names}
+    # What acts in the base model is among what is linearised, candidate or not.
+    candidates = {effect.NAME for effect in moving}
+    considered = [*moving, *(e for e in model.fitting.usual_in(base) if e.NAME not in candidates)]
+    systems = model.fitting.systems(considered, base, workers)
+    fits = model.fitting.linearised(considered, base, systems)
+    fits |= {name: usual for name in usual.names if name in candidates}
     errors = model.errors(base)
     chosen = promising(base, fits, moving, errors, weights, together.fitted, plain, usual.names)
     for k, effect in enumerate(chosen):
@@ -168,15 +171,15 @@ def diagnose_session(
         base, fits, effects, of_images, errors, calibration, learned, weights, every, plain
     )
     scale = evidence.scale
-    alias = session_alias(model.fitting, moving, systems, weights.threshold, scale)
+    alias = session_alias(model.fitting, considered, systems, weights.threshold, scale)
     gains: dict[str, float] = {}
     if not is_clear(evidence.chances, settings.verdict):
         progress("clips that may be recorded next", 0.9)
         gains = expected_gains(
             model.fitting,
             base,
-            fits,
-            moving,
+            {**dict.fromkeys(usual.names, usual), **fits},
+            considered,
             systems,
             evidence.chances,
             MOTIONS,

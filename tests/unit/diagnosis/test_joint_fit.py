@@ -187,6 +187,14 @@ class TestUsualEffects:
             gains.append(base.misfit - found["air_drag"].misfit)
         assert gains[0] > 5 * max(gains[1], 1.0)
 
+    def test_without_them_among_the_effects_the_base_model_is_another(
+        self, damped: tuple[JointFitting, JointFit, JointFit]
+    ) -> None:
+        fitting, _, usual = damped
+        alone = [drag(0.0)]
+        with pytest.raises(ValueError, match="internal_damping"):
+            fitting.linearised(alone, usual, fitting.systems(alone, usual))
+
     def test_a_hypothesis_keeps_their_coefficients_apart_from_its_own(
         self, damped: tuple[JointFitting, JointFit, JointFit]
     ) -> None:
