@@ -43,7 +43,6 @@ from toile.diagnosis.session_stages import (
     seen_clips,
     with_error_found,
 )
-from toile.diagnosis.session_weights import SessionWeights
 from toile.diagnosis.stage_store import StageStore
 from toile.diagnosis.stage_times import StageTimes
 from toile.diagnosis.stored_values import ValueStore
@@ -158,8 +157,7 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
     moving = [effect for effect in effects if isinstance(effect, FORCES)]
     fits = fitting.linearised(moving, base, fitting.systems(moving, base))
     fits |= {effect.NAME: usual for effect in moving if effect.NAME in usual.names}
-    weights = SessionWeights.load()
-    chosen = promising(base, fits, moving, errors, weights, settings.fitted, plain, usual.names)
+    chosen = promising(base, fits, moving, errors, settings.fitted, plain, usual.names)
     rows: list[dict[str, object]] = []
     for effect in moving:
         began = time.process_time()

@@ -1,12 +1,15 @@
 """Learn what evidence of a session is worth: docs/results/session_weights.md, and the package's weights.
 
-    python benchmarks/session_weights.py  # from docs/results/session_evidence.csv, see make session-ladder
+    python benchmarks/session_weights.py  # from docs/results/session_evidence*.csv, see make session-ladder
+    python benchmarks/session_weights.py --graded outputs/blind_predictions/NAME  # adds a graded set first
 
-Reported probabilities are those of weights that the session had no part in.
+Reported probabilities are those of weights that the session had no part in. Sessions of the engine that is
+for sealed sets alone never teach: they say what weights learnt on other engines are worth.
 """
 
 from __future__ import annotations
 
+import argparse
 from dataclasses import fields
 from pathlib import Path
 
@@ -18,7 +21,9 @@ from toile.atomic_file import write_text
 from toile.diagnosis.decision import NONE
 from toile.diagnosis.effect_evidence import EffectEvidence
 from toile.diagnosis.model_errors import ModelErrors
+from toile.diagnosis.session_settings import SessionSettings
 from toile.diagnosis.session_weights import (
+    EVIDENCE_FILE,
     SHIPPED,
     MotionEvidence,
     SessionCase,
@@ -36,12 +41,18 @@ LEFT_OUT = ("gravity_tilt",)
 """Causes that are a wind to the base model: neither none nor to be found."""
 
 
+GRADED = RESULTS / "session_evidence_graded.csv"
+"""Evidence of sealed sessions, made once their labels are open."""
+NEVER_LEARNT_FROM = "mujoco"
+"""An engine for sealed sets alone."""
+
+
 def cases_of(table: pd.DataFrame) -> tuple[list[SessionCase], list[str]]:
     """Evidence of every session on the rungs that a diagnosis has, and how many clips it is from."""
     found, clips = [], []
     for (rung, session), own in table[table["rung"].isin(RUNGS)].groupby(["rung", "session"], sort=False):
-        cause = cause_of(str(session))
-        if cause in LEFT_OUT:
+        cause = str(own["cause"].iloc[0]) if "cause" in own else cause_of(str(session))
+        if cause in LEFT_OUT or (cause not in (NONE, *AS_NONE) and cause not in set(own["effect"])):
             continue
         by_name = own.set_index("effect")
         learned = by_name["learned"].dropna().to_dict() or None
@@ -53,10 +64,51 @@ def cases_of(table: pd.DataFrame) -> tuple[list[SessionCase], list[str]]:
                 name: by_name.loc[name, "moves the cloth by [% of the width]"] / 100
                 for name in str(own["usual"].iloc[0]).split()
             },
+            {
+                str(name): row["moves the cloth by [% of the width]"] / 100
+                for name, row in by_name.iterrows()
+                if name not in str(own["usual"].iloc[0]).split()
+                and np.isfinite(row["moves the cloth by [% of the width]"])
+            },
         )
         found.append(SessionCase(str(session), NONE if cause in AS_NONE else cause, evidence))
         clips.append("one" if "one clip" in str(rung) else "three")
     return found, clips
+
+
+def graded_evidence(folder: Path, marks: pd.DataFrame) -> pd.DataFrame:
+    """Evidence of a graded set in the form of session_evidence.csv.
+
+    Args:
+        folder: of the predictions from first clips, every session in a folder of its own.
+        marks: of all sessions, see docs/results/blind_sessions_marks.csv.
+    """
+    rows = []
+    of_motion = marks[(marks["clips"].astype(str) == "1") & ~marks["of_the_image"]]
+    for mark in of_motion.itertuples():
+        evidence = MotionEvidence.load(folder / str(mark.scene) / EVIDENCE_FILE)
+        sizes = {**evidence.sizes, **evidence.usual}
+        for name, one in evidence.effects.items():
+            rows.append(
+                {
+                    "session": mark.scene,
+                    "engine": mark.generator,
+                    "cause": mark.truth,
+                    "rung": RUNGS[0],
+                    "usual": " ".join(evidence.usual),
+                    "cost of errors": evidence.base.cost,
+                    "expected cost": evidence.base.expected,
+                    "share": evidence.base.share,
+                    "effect": name,
+                    "drop": one.drop,
+                    "moves the cloth by [% of the width]": 100 * sizes.get(name, float("nan")),
+                    "information": " ".join(f"{value:.5g}" for value in one.information),
+                    "slopes": " ".join(f"{value:.5g}" for value in one.slopes),
+                    "fitted size": one.fitted_size,
+                    "learned": (evidence.learned or {}).get(name, float("nan")),
+                }
+            )
+    return pd.DataFrame(rows)
 
 
 def _effect(row: pd.Series) -> EffectEvidence:
@@ -66,13 +118,59 @@ def _effect(row: pd.Series) -> EffectEvidence:
 
 def main() -> None:
     """Write the page and the weights."""
-    table = pd.read_csv(RESULTS / "session_evidence.csv")
-    cases, clips_of = cases_of(table)
-    weights, by_hand = learnt_weights(cases), SessionWeights()
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--graded", type=Path, help="folder of the predictions of a graded set")
+    given = parser.parse_args()
+    if given.graded:
+        marks = pd.read_csv(RESULTS / "blind_sessions_marks.csv")
+        graded_evidence(given.graded, marks).to_csv(GRADED, index=False, float_format="%.5g")
+    ladder = cases_of(pd.read_csv(RESULTS / "session_evidence.csv"))
+    graded = pd.read_csv(GRADED)
+    never = graded["engine"] == NEVER_LEARNT_FROM
+    more, other = cases_of(graded[~never]), cases_of(graded[never])
+    cases, clips_of = ladder[0] + more[0], ladder[1] + more[1]
+    weights, shipped = learnt_weights(cases), SessionWeights()
+    unseen = [chances(case.evidence, weights) for case in other[0]]
+    answers = _answers(cases, clips_of, left_out_chances(cases), weights)
+    of_other = _answers(other[0], other[1], unseen, weights)
+    lines = [
+        "# Weights of a session's evidence",
+        "",
+        "Made by `python benchmarks/session_weights.py` from `session_evidence.csv` (`make session-ladder`) "
+        f"and `session_evidence_graded.csv` (a sealed set after grading): {len(cases)} cases of "
+        f"{answers['session'].nunique()} generated sessions of two engines, open labels. Probabilities are "
+        "those of weights that the session had no part in. Development data, no blind check; `strange` and "
+        "`strangeness` are set by hand.",
+        "",
+        "| weight | learnt | before |",
+        "|---|---|---|",
+        *(
+            f"| {name} | {getattr(weights, name):.3g} | {getattr(shipped, name):.3g} |"
+            for name in (field.name for field in fields(SessionWeights))
+        ),
+        "",
+    ]
+    for clips, own in answers.groupby("clips", sort=False):
+        lines += [f"{clips} clip{'s' if clips != 'one' else ''}: {_summary(own)}", ""]
+    table = {"index": False, "floatfmt": ".2f"}
+    lines += [answers.to_markdown(**table), "", "## An engine that taught nothing", ""]
+    lines += [_summary(of_other), "", of_other.to_markdown(**table), ""]
+    learnt, hand = (-np.log(answers[of]).mean() for of in ("of the cause", "of the cause, before"))
+    # Few cases may teach less than they cost.
+    better = learnt < hand
+    lines += [f"Shipped: the weights {'learnt' if better else 'before, which say more'}.", ""]
+    write_text(RESULTS / "session_weights.md", "\n".join(lines))
+    if better:
+        weights.write(SHIPPED, f"{len(cases)} cases of docs/results/session_evidence*.csv")
+    print("\n".join(lines))
+
+
+def _answers(
+    cases: list[SessionCase], clips_of: list[str], found: list[dict[str, float]], weights: SessionWeights
+) -> pd.DataFrame:
     rows = []
-    for case, clips, p in zip(cases, clips_of, left_out_chances(cases), strict=True):
+    for case, clips, p in zip(cases, clips_of, found, strict=True):
         first = max(p, key=lambda name: p[name])
-        before = chances(case.evidence, by_hand)
         rows.append(
             {
                 "session": case.session,
@@ -81,50 +179,25 @@ def main() -> None:
                 "answer": first,
                 "its probability": p[first],
                 "of the cause": p[case.cause],
-                "of the cause, weights by hand": before[case.cause],
-                "misfit over usual": case.evidence.left(weights),
+                "of the cause, before": chances(case.evidence, SessionWeights())[case.cause],
+                "misfit over usual": case.evidence.left,
             }
         )
-    answers = pd.DataFrame(rows)
+    return pd.DataFrame(rows)
+
+
+def _summary(answers: pd.DataFrame) -> str:
+    named = answers["its probability"] >= SessionSettings().named
     right = answers["answer"] == answers["cause"]
-    lines = [
-        "# Weights of a session's evidence",
-        "",
-        "Made by `python benchmarks/session_weights.py` from `session_evidence.csv` (`make session-ladder`)"
-        f": {len(cases)} cases of {answers['session'].nunique()} generated sessions, open labels, 3 % of the "
-        "width. Probabilities are those of weights that the session had no part in. Development data, no "
-        "blind check; `strange` and `strangeness` are set by hand.",
-        "",
-        "| weight | learnt | by hand |",
-        "|---|---|---|",
-        *(
-            f"| {name} | {getattr(weights, name):.3g} | {getattr(by_hand, name):.3g} |"
-            for name in (field.name for field in fields(SessionWeights))
-        ),
-        "",
-    ]
-    for clips, own in answers.groupby("clips", sort=False):
-        nulls = own["cause"] == NONE
-        good = right[own.index]
-        losses = [-np.log(own[c]).mean() for c in ("of the cause", "of the cause, weights by hand")]
-        named, false = int(good[~nulls].sum()), int((~good[nulls]).sum())
-        lines += [
-            f"{clips} clip{'s' if clips != 'one' else ''}: {named} of {int((~nulls).sum())} causes named, "
-            f"{false} of {int(nulls.sum())} without one named falsely; mean negative log probability of the "
-            f"cause {losses[0]:.2f}, by hand {losses[1]:.2f}.",
-            "",
-        ]
-    lines += [answers.to_markdown(index=False, floatfmt=".2f"), ""]
-    learnt, hand = (-np.log(answers[of]).mean() for of in ("of the cause", "of the cause, weights by hand"))
-    # Few cases may teach less than they cost.
-    better = learnt < hand
-    lines += [f"Shipped: the weights {'learnt' if better else 'by hand, which say more'}.", ""]
-    write_text(RESULTS / "session_weights.md", "\n".join(lines))
-    if better:
-        weights.write(SHIPPED, f"{len(cases)} cases of docs/results/session_evidence.csv")
-    else:
-        by_hand.write(SHIPPED, "set by hand: those learnt from docs/results/session_evidence.csv say less")
-    print("\n".join(lines))
+    nulls = answers["cause"] == NONE
+    false = int((nulls & named & ~right).sum())
+    losses = [-np.log(answers[c]).mean() for c in ("of the cause", "of the cause, before")]
+    return (
+        f"{int((~nulls & right).sum())} of {int((~nulls).sum())} causes lead, "
+        f"{int((~nulls & right & named).sum())} surely enough to be named; wrong names: {false} on "
+        f"{int(nulls.sum())} without a cause, {int((~nulls & named & ~right).sum())} on the others; mean "
+        f"negative log probability of the cause {losses[0]:.2f}, with the weights before {losses[1]:.2f}."
+    )
 
 
 if __name__ == "__main__":

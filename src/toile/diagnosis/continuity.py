@@ -115,7 +115,7 @@ class Joined:
     ) -> None:
         n = len(systems[0].gradient) - len(systems[0].standardised)
         shared, right = np.zeros((n, n)), np.zeros(n)
-        constant = 0.0
+        constant = start = 0.0
         self._steps: list[_Eliminated] = []
         each = np.broadcast_to(damping, len(systems))
         for s, damped in zip(systems, each, strict=True):
@@ -133,7 +133,7 @@ class Joined:
             rest[m:, n] -= mean[m:]
             shared += s.matrix[:n, :n]
             right -= s.gradient[:n]
-            constant -= 0.5 * float(mean[m:] @ mean[m:])
+            start += 0.5 * float(mean[m:] @ mean[m:])
             if self._steps and s.link is None:
                 constant += self._take(self._steps[-1], shared, right)
             elif s.link is not None:
@@ -150,14 +150,23 @@ class Joined:
                 rest[:m, n] -= ratio * jump
                 shared += before[:, :n].T @ before[:, :n]
                 right += before[:, :n].T @ jump
-                constant -= 0.5 * float(jump @ jump)
+                start += 0.5 * float(jump @ jump)
                 constant += self._take(last, shared, right)
                 own[:m, :m] -= last.half_next.T @ last.half_next
                 rest[:m] -= last.half_next.T @ last.half
             self._steps.append(_Eliminated(scale, own, rest))
         constant += self._take(self._steps[-1], shared, right)
         determinant = sum(step.determinant for step in self._steps)
-        self.reduced = Reduced(shared, right, constant, determinant)
+        self.reduced = Reduced(shared, right, constant - start, determinant)
+        self._start = start
+
+    def promised(self, shared: Array) -> float:
+        """By how much the quadratic falls from where it was put up to a change of the shared unknowns.
+
+        Local unknowns follow, see ``locals``; priors of the shared unknowns are not in it.
+        """
+        r = self.reduced
+        return float(self._start + r.constant + r.right @ shared - 0.5 * shared @ r.matrix @ shared)
 
     @staticmethod
     def _take(step: _Eliminated, shared: Array, right: Array) -> float:

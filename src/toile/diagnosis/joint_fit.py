@@ -37,7 +37,7 @@ from toile.diagnosis.refits import acting_with, within_bounds
 from toile.diagnosis.shooting import Base, Shooting, WindowMotion
 from toile.diagnosis.workers import ALONE, Workers
 from toile.effects.base import Effect, Scope, Surroundings
-from toile.limits import Count, CountOrZero, NonNegative, Positive, Unit
+from toile.limits import Count, CountOrZero, Fraction, NonNegative, Positive, Unit
 from toile.physics.state import State
 
 Array = NDArray[np.float64]
@@ -51,7 +51,8 @@ class JointFitSettings:
     Attributes:
         passes: over all clips at most.
         converged: share of the misfit that a pass gains, below which it is the last one.
-        nothing: nats beside it.
+        nothing: nats beside it; the last pass as well is one whose quadratic promises no more.
+        kept: share of what the quadratic promises that a step must keep; one that keeps less is damped more.
         longest_wind: change of a wind in one pass at most [m/s²].
         prior_inflation: factor on the prior deviations of an effect's coefficients: those say how large one
             usually is, not how large it can be.
@@ -63,6 +64,7 @@ class JointFitSettings:
     passes: Count = 25
     converged: NonNegative = 0.003
     nothing: NonNegative = 1.0
+    kept: Fraction = 0.1
     longest_wind: Annotated[Positive, Unit("m/s²")] = 2.0
     prior_inflation: Positive = 3.0
     few: CountOrZero = 3
@@ -86,6 +88,9 @@ _SMOOTHED = 5
 
 _DRAUGHT = 0.02
 """Deviation of the wind in a closed room [m/s²]."""
+
+_TRUSTED = 0.5
+"""Share of what is promised from which on steps may be longer again."""
 
 _ROOM = 1e-12
 """Between the bounds of a coefficient that is at one of them; clipped afterwards."""
@@ -337,9 +342,9 @@ class JointFitting:
         evidence = self._evidence(layout, place, workers)
         little = 0
         for _ in range(self.settings.passes):
-            moved, damping = self._step(layout, place, evidence, damping, workers)
+            moved, damping, trusted = self._step(layout, place, evidence, damping, workers)
             if moved is None:
-                # Nowhere to go: the quadratic does not hold even for short steps.
+                # Nothing to gain, or nowhere to go: the quadratic does not hold even for short steps.
                 converged = True
                 break
             gained = place.misfit - moved.misfit
@@ -352,7 +357,8 @@ class JointFitting:
             if little and (damping == 0 or little > 1):
                 converged = True
                 break
-            damping = damped.less(damping)
+            if trusted:
+                damping = damped.less(damping)
         covariance, occam = self._learnt(layout, evidence)
         return replace(
             place,
@@ -551,19 +557,35 @@ class JointFitting:
 
     def _step(
         self, layout: SharedLayout, place: JointFit, evidence: Evidence, damping: float, workers: Workers
-    ) -> tuple[JointFit | None, float]:
-        """One pass, and the damping that it took; None where no step lowers the misfit."""
-        damped = self.clips[0].shooting.settings.damping
+    ) -> tuple[JointFit | None, float, bool]:
+        """One pass, the damping that it took, and whether the quadratic held; None where nothing is gained.
+
+        A full step that lowers the misfit a little is no sign of having arrived: where the quadratic promises
+        much more, a shorter one gains more.
+        """
+        settings, damped = self.settings, self.clips[0].shooting.settings.damping
+        best, taken = None, damping
         for _ in range(damped.tried):
             joined = Joined(evidence.systems, self.size, damping)
             shared = self._shared_step(layout, place, joined, damping)
+            now, scale = np.concatenate((place.values, place.coefficients)), self._scale(layout)
+            of_priors = 0.5 * float(((now / scale) ** 2).sum() - (((now + shared) / scale) ** 2).sum())
+            promised = joined.promised(shared) + of_priors
+            if damping == 0 and promised < settings.nothing:
+                return None, damping, True
             values = place.values + shared[: layout.n_base]
             coefficients = place.coefficients + shared[layout.n_base :]
             moved = self._moved(layout, place, values, coefficients, joined.locals(shared), workers, evidence)
-            if moved is not None and moved.misfit < place.misfit:
-                return moved, damping
+            if moved is not None and moved.misfit < (place if best is None else best).misfit:
+                best, taken = moved, damping
+                kept = place.misfit - moved.misfit
+                if kept >= settings.kept * promised:
+                    return moved, damping, kept >= _TRUSTED * promised
+            elif best is not None:
+                # Shorter steps gain less again.
+                break
             damping = damped.more(damping)
-        return None, damping
+        return best, taken, False
 
     def _shared_step(self, layout: SharedLayout, place: JointFit, joined: Joined, damping: float) -> Array:
         """Change of the shared unknowns to the minimum of the quadratic within their bounds."""

@@ -54,7 +54,7 @@ from toile.diagnosis.session_stages import (
     refining_stage,
     seen_clips,
 )
-from toile.diagnosis.session_weights import SessionWeights
+from toile.diagnosis.session_weights import EVIDENCE_FILE, SessionWeights
 from toile.diagnosis.settings import DiagnosisSettings
 from toile.diagnosis.stage_store import StageStore
 from toile.diagnosis.stage_times import TIMES_FILE, StageTimes
@@ -119,6 +119,8 @@ def diagnose_session(
     Returns:
         The report; the caller writes it.
     """
+    verdict = replace(settings.verdict, named=max(settings.verdict.named, together.named))
+    settings = replace(settings, verdict=verdict)
     known = {effect for key, effect in KNOWN_BY.items() if getattr(session, key)}
     effects = tuple(effect for effect in effects if effect.NAME not in known)
     moving = [effect for effect in effects if isinstance(effect, FORCES)]
@@ -154,7 +156,7 @@ def diagnose_session(
     fits = model.fitting.linearised(considered, base, systems)
     fits |= {name: usual for name in usual.names if name in candidates}
     errors = model.errors(base)
-    chosen = promising(base, fits, moving, errors, weights, together.fitted, plain, usual.names)
+    chosen = promising(base, fits, moving, errors, together.fitted, plain, usual.names)
     for k, effect in enumerate(chosen):
         share = 0.58 + 0.3 * (k + 1) / (len(chosen) + 1)
         fits[effect.NAME] = pipeline.run(stages.fit(effect, share), motion, base)
@@ -164,12 +166,12 @@ def diagnose_session(
     of_images = [clip.seen.findings for clip in clips]
     learned = learned_chances(clips, motion)
     fitting = model.fitting
-    every = {
-        name: moved(fitting.clips, fitting.start, usual, model.width) for name in usual.names if name in fits
-    }
+    sizes = {name: moved(fitting.clips, fitting.start, fit, model.width) for name, fit in fits.items()}
+    every = {name: sizes.pop(name) for name in usual.names if name in fits}
     evidence = session_evidence(
-        base, fits, effects, of_images, errors, calibration, learned, weights, every, plain
+        base, fits, effects, of_images, errors, calibration, learned, weights, every, plain, sizes
     )
+    evidence.motion.write(folder / EVIDENCE_FILE)
     scale = evidence.scale
     alias = session_alias(model.fitting, considered, systems, weights.threshold, scale)
     gains: dict[str, float] = {}
@@ -313,7 +315,7 @@ def _of_class(
         total = sum(chances.get(name, 0.0) for name in one)
         first = max(one, key=lambda name: chances.get(name, 0.0))
         others = max((p for name, p in chances.items() if name not in one), default=0.0)
-        clear = total >= settings.verdict.likely and total >= settings.verdict.ahead * others
+        clear = total >= settings.verdict.needed(first) and total >= settings.verdict.ahead * others
         if clear and first not in (NONE, UNKNOWN):
             listed = " or ".join(one)
             return replace(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +36,7 @@ class SessionEvidence:
         chances: probabilities, NONE and UNKNOWN among them, most probable first.
         left: errors of the best hypothesis over the usual ones, squared.
         scale: by which misfits are too large for the noise that was found.
+        motion: what the motion says before any weight.
     """
 
     findings: dict[str, Finding]
@@ -43,6 +44,7 @@ class SessionEvidence:
     chances: dict[str, float]
     left: float
     scale: float
+    motion: MotionEvidence
 
 
 def session_evidence(
@@ -56,6 +58,7 @@ def session_evidence(
     weights: SessionWeights,
     usual: Mapping[str, float] | None = None,
     plain: JointFit | None = None,
+    sizes: Mapping[str, float] | None = None,
 ) -> SessionEvidence:
     """Put together what motion and images of all clips say.
 
@@ -70,27 +73,28 @@ def session_evidence(
         weights: see SessionWeights.
         usual: effects that every cloth has, with how far they move this one, see MotionEvidence.
         plain: the base model without its own effects; None where it has none.
+        sizes: how far every other effect moves the cloth, see MotionEvidence.
     """
     by_name = {effect.NAME: effect for effect in effects}
-    motion = _of_motion(base, fits, errors, learned, usual or {}, plain)
+    motion = replace(_of_motion(base, fits, errors, learned, usual or {}, plain), sizes=sizes or {})
     drops = {name: one.drop for name, one in motion.effects.items()}
-    left = motion.over_usual(weights)
-    scale = motion.scale(weights)
+    left = motion.over_usual
+    scale = motion.scale
     findings = {
         name: _of_images(by_name[name], name, of_images) for name in (of_images[0] if of_images else {})
     }
-    logits = {NONE: 0.0}
+    logits = motion.logits(weights)
+    none = logits[NONE]
     for name, found in findings.items():
         if name not in fits:
             score = calibration.score(name, found.log_evidence)
-            logits[name] = (score - calibration.threshold) / calibration.temperature
+            logits[name] = none + (score - calibration.threshold) / calibration.temperature
     for name, fit in fits.items():
         n = len(by_name[name].scales)
         covariance = scale * fit.own_covariance[:n, :n]
-        findings[name] = finding(by_name[name], motion.nats(name, weights), fit.own[:n], covariance)
-        logits[name] = motion.logit(name, weights)
-    logits[UNKNOWN] = float(weights.strangeness * np.log(left / weights.strange))
-    return SessionEvidence(findings, drops, _chances(logits), left, scale)
+        findings[name] = finding(by_name[name], motion.nats(name), fit.own[:n], covariance)
+    logits[UNKNOWN] = none + float(weights.strangeness * np.log(left / weights.strange))
+    return SessionEvidence(findings, drops, _chances(logits), left, scale, motion)
 
 
 def base_of_session(plain: JointFit, usual: JointFit) -> JointFit:
@@ -108,7 +112,6 @@ def promising(
     fits: Mapping[str, JointFit],
     effects: Sequence[Effect],
     errors: ModelErrors,
-    weights: SessionWeights,
     most: int,
     plain: JointFit | None = None,
     fitted: Sequence[str] = (),
@@ -120,13 +123,12 @@ def promising(
         fits: of every effect, or what the linearised model says of it.
         effects: that move the cloth.
         errors: of the base model.
-        weights: see SessionWeights.
         most: effects at most.
         plain: see session_evidence.
         fitted: effects that have been fitted.
     """
     evidence = _of_motion(base, fits, errors, None, {}, plain)
-    nats = {name: evidence.nats(name, weights) for name in fits if name not in fitted}
+    nats = {name: evidence.nats(name) for name in fits if name not in fitted}
     ranked = [name for name in sorted(nats, key=lambda name: -nats[name])[:most] if nats[name] > _WORTH]
     return [effect for effect in effects if effect.NAME in ranked]
 

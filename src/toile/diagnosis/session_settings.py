@@ -10,7 +10,7 @@ from pydantic import Field
 
 from toile.diagnosis.joint_fit import JointFitSettings
 from toile.diagnosis.softened import ModelError
-from toile.limits import Count, CountOrZero, Positive, Seed, Unit
+from toile.limits import Count, CountOrZero, Fraction, Positive, Seed, Unit
 from toile.physics.grid_laws import GridLaw, taut_fitted
 
 Usual = Annotated[tuple[Literal["internal_damping"], ...], Field(max_length=1)]
@@ -59,6 +59,7 @@ class SessionSettings:
         usual: effects that the base model has: what no cloth and no solver is without. One of them is a cause
             where it is stronger than is usual.
         fit: see JointFitSettings.
+        named: probability from which on an effect is the answer; more where VerdictSettings ask for more.
         fitted: hypotheses that are fitted, those with most evidence in the model linearised around the
             base; the others keep that evidence.
         refined: hypotheses whose prediction of the clip that is left out is measured.
@@ -85,6 +86,7 @@ class SessionSettings:
     error_rounds: CountOrZero = 3
     usual: Usual = ("internal_damping",)
     fit: JointFitSettings = field(default_factory=JointFitSettings)
+    named: Fraction = 0.9
     fitted: Count = 3
     refined: Count = 2
     left_out_passes: Count = 4

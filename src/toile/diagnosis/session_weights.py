@@ -10,12 +10,13 @@ from __future__ import annotations
 import json
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
-from scipy.special import log_softmax
+from scipy.special import logsumexp, softmax
 
 from toile.atomic_file import write_text
 from toile.diagnosis.decision import NONE
@@ -26,10 +27,16 @@ from toile.json_file import read_json_object
 
 Array = NDArray[np.float64]
 
+EVIDENCE_FILE = "motion_evidence.json"
+"""In the folder of a session's diagnosis."""
+
 SHIPPED = Path(__file__).with_name("session_weights.json")
 
 USUAL_SHARE = 0.0025
 """Errors that a base model of an unknown cloth may have [widths]."""
+
+_LAPSE = 0.02
+"""Share of cases that teach nothing, because what acts is too small to be seen or a fit has failed."""
 
 _LEAST = 1e-4
 """Probability of the learned decision that says no more, and share of the usual misfit that does."""
@@ -40,11 +47,10 @@ class SessionWeights:
     """How evidence of the motion becomes a probability.
 
     Attributes:
-        usual: what errors of the base model's size cost a right model, over what they are expected to.
-        finest: share of it below which smaller errors do not make differences count for more.
         usual_size: distance by which an effect that every cloth has usually moves it, in the last third of
             the first clip [widths]: at that size, a cause and none are equally probable.
-        beyond: e-folds of the odds of such an effect for each logarithm beyond that.
+        smallest: the same for every other effect, see MotionEvidence.logits.
+        beyond: e-folds of the odds against none at most for each logarithm beyond these distances.
         threshold: evidence at which an effect and none are equally probable [nats].
         temperature: evidence by which the odds of an effect grow e-fold [nats].
         learned: weight of the learned decision's log odds among effects.
@@ -53,13 +59,12 @@ class SessionWeights:
         strangeness: e-folds of the odds of something unknown for each logarithm beyond that.
     """
 
-    usual: float = 1.0
-    finest: float = 0.3
     usual_size: float = 0.025
+    smallest: float = 0.008
     beyond: float = 12.0
-    threshold: float = 15.0
-    temperature: float = 5.0
-    learned: float = 0.6
+    threshold: float = 17.0
+    temperature: float = 4.0
+    learned: float = 0.5
     strange: float = 4.0
     strangeness: float = 4.0
 
@@ -99,39 +104,98 @@ class MotionEvidence:
         learned: probabilities of the learned decision by label, None where there is none.
         usual: effects that every cloth has, with the distance by which they move this one, see
             effect_size.moved; what is said of them is against a model without.
+        sizes: the same of the other effects; of those that are not here nothing is asked.
     """
 
     base: ModelErrors
     effects: Mapping[str, EffectEvidence]
     learned: Mapping[str, float] | None = None
     usual: Mapping[str, float] = field(default_factory=dict)
+    sizes: Mapping[str, float] = field(default_factory=dict)
 
-    def left(self, weights: SessionWeights) -> float:
+    def write(self, path: Path) -> None:
+        """Keep it, so that weights can be learnt from it once the cause is known."""
+        write_text(path, json.dumps(asdict(self), indent=1) + "\n")
+
+    @staticmethod
+    def load(path: Path) -> MotionEvidence:
+        """What ``write`` has kept.
+
+        Raises:
+            InputError: there is no such file, or it holds no evidence.
+        """
+        try:
+            values = read_json_object(path)
+            effects = {
+                name: EffectEvidence(
+                    float(one["drop"]),
+                    tuple(map(float, one["information"])),
+                    tuple(map(float, one["slopes"])),
+                    float(one["fitted_size"]),
+                )
+                for name, one in values["effects"].items()
+            }
+            base = ModelErrors(**{name: float(value) for name, value in values["base"].items()})
+            learned, usual, sizes = values["learned"], values["usual"], values["sizes"]
+            return MotionEvidence(
+                base, effects, None if learned is None else dict(learned), dict(usual), dict(sizes)
+            )
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+            raise InputError(
+                "No evidence of a session can be read",
+                where=str(path),
+                expected="what a diagnosis of a session writes",
+                got=f"{type(error).__name__}: {error}",
+            ) from error
+
+    @property
+    def left(self) -> float:
         """Squared errors of the best hypothesis over those that were expected of it."""
         most = max((e.drop for name, e in self.effects.items() if name not in self.usual), default=0.0)
         # A drop is of ties and priors as well, so it may be more than all errors.
-        return max((self.base.cost - most) / (weights.usual * self.base.expected), _LEAST)
+        return max((self.base.cost - most) / self.base.expected, _LEAST)
 
-    def over_usual(self, weights: SessionWeights) -> float:
+    @property
+    def over_usual(self) -> float:
         """Squared errors of the best hypothesis over those of USUAL_SHARE."""
-        return self.left(weights) * (self.base.share / USUAL_SHARE) ** 2
+        return self.left * (self.base.share / USUAL_SHARE) ** 2
 
-    def nats(self, name: str, weights: SessionWeights) -> float:
+    def nats(self, name: str) -> float:
         """Log evidence of an effect against the base model."""
-        return self.effects[name].nats(self.scale(weights))
+        return _nats(self.effects[name], self.scale)
 
-    def scale(self, weights: SessionWeights) -> float:
-        """By how much all misfits are too large: what even the best hypothesis is wrong by is the noise."""
-        return max(weights.finest, self.left(weights))
+    @property
+    def scale(self) -> float:
+        """By how much all misfits are too large: what even the best hypothesis is wrong by is the noise.
 
-    def logit(self, name: str, weights: SessionWeights) -> float:
-        """Log odds of an effect against none."""
-        odds = weights.learned * _log_odds(self.learned, name, self.effects)
-        logit = (self.nats(name, weights) - weights.threshold) / weights.temperature + odds
-        if name in self.usual:
-            # However sure it is that it acts, it is a cause only where it is more than usual.
-            logit = min(logit, weights.beyond * np.log(max(self.usual[name], _LEAST) / weights.usual_size))
-        return float(logit)
+        Never less than 1: images that a hypothesis explains better than expected know no more than they do.
+        """
+        return max(1.0, self.left)
+
+    def logits(self, weights: SessionWeights) -> dict[str, float]:
+        """Log odds of every effect and of none of them, up to a common constant.
+
+        None is an interval and no point: an effect of the size that a model on a grid is usually wrong by is
+        none, however sure the clips are of it (Berger and Delampady 1987). So what speaks for an effect
+        speaks for none as well, less with every e-fold of its size; rivals keep their distance.
+        """
+        odds = {
+            name: (self.nats(name) - weights.threshold) / weights.temperature
+            + weights.learned * _log_odds(self.learned, name, self.effects)
+            for name in self.effects
+        }
+        none = [0.0]
+        for name, value in odds.items():
+            if name in self.usual:
+                # Rivals are fitted beside it: its evidence, against a model without, is not to be set against
+                # theirs. However sure it is that it acts, it is a cause only where it is more than usual.
+                odds[name] = min(value, _beyond(self.usual[name], weights.usual_size, weights))
+            elif name in self.sizes:
+                # Shares of none and of a cause in what speaks for the effect.
+                beyond = _beyond(self.sizes[name], weights.smallest, weights)
+                none.append(value - float(np.logaddexp(0.0, beyond)))
+                odds[name] = value - float(np.logaddexp(0.0, -beyond))
+        return {NONE: float(logsumexp(none)), **odds}
 
 
 @dataclass(frozen=True)
@@ -158,16 +222,21 @@ def learnt_weights(cases: Sequence[SessionCase], prior: SessionWeights | None = 
             ``strangeness`` stay: they need sessions whose cause is outside the catalogue.
     """
     begin = SessionWeights() if prior is None else prior
-    names: tuple[str, ...] = ("usual", "finest", "threshold", "temperature", "learned")
+    names: tuple[str, ...] = ("threshold", "temperature", "learned")
     if any(case.evidence.usual for case in cases):
-        names = (*names, "usual_size", "beyond")
+        names = (*names, "usual_size")
+    if any(case.evidence.sizes for case in cases):
+        names = (*names, "smallest")
+    if any(case.evidence.usual or case.evidence.sizes for case in cases):
+        names = (*names, "beyond")
     start = np.log([getattr(begin, name) for name in names])
 
     def of(logs: Array) -> SessionWeights:
         return replace(begin, **dict(zip(names, map(float, np.exp(logs)), strict=True)))
 
     def cost(logs: Array) -> float:
-        own = -sum(np.log(max(chances(case.evidence, of(logs))[case.cause], 1e-12)) for case in cases)
+        right = [chances(case.evidence, of(logs))[case.cause] for case in cases]
+        own = -sum(np.log((1 - _LAPSE) * p + _LAPSE / 10) for p in right)
         return float(own + 0.5 * ((logs - start) ** 2).sum())
 
     # Few numbers and a kink where the misfit reaches the usual one: no derivatives.
@@ -177,9 +246,8 @@ def learnt_weights(cases: Sequence[SessionCase], prior: SessionWeights | None = 
 
 def chances(evidence: MotionEvidence, weights: SessionWeights) -> dict[str, float]:
     """Probabilities of effects that move the cloth and of none of them."""
-    names = [NONE, *evidence.effects]
-    logits = [0.0, *(evidence.logit(name, weights) for name in evidence.effects)]
-    return dict(zip(names, map(float, np.exp(log_softmax(logits))), strict=True))
+    logits = evidence.logits(weights)
+    return dict(zip(logits, map(float, softmax(list(logits.values()))), strict=True))
 
 
 def left_out_chances(cases: Sequence[SessionCase]) -> list[dict[str, float]]:
@@ -188,6 +256,17 @@ def left_out_chances(cases: Sequence[SessionCase]) -> list[dict[str, float]]:
     for session in dict.fromkeys(case.session for case in cases):
         found[session] = learnt_weights([case for case in cases if case.session != session])
     return [chances(case.evidence, found[case.session]) for case in cases]
+
+
+def _beyond(size: float, least: float, weights: SessionWeights) -> float:
+    """Log odds of a cause against none by its size alone."""
+    return weights.beyond * float(np.log(max(size, _LEAST) / least))
+
+
+@lru_cache(maxsize=4096)
+def _nats(evidence: EffectEvidence, scale: float) -> float:
+    # Weights are learnt by asking for the same thousands of times.
+    return evidence.nats(scale)
 
 
 def _log_odds(learned: Mapping[str, float] | None, name: str, effects: Collection[str]) -> float:

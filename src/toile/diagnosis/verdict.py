@@ -23,23 +23,30 @@ class VerdictSettings:
     Attributes:
         level: probability that the candidates hold together.
         likely: probability from which on the most probable hypothesis can be the answer.
+        named: the same where it is an effect: a false alarm costs more than no answer.
         ahead: how many times as probable as the second one it must be.
         beside: score over the calibrated threshold from which on an effect of another stage acts beside it.
     """
 
     level: Annotated[float, Field(gt=0, le=1)] = 0.9
     likely: Fraction = 0.5
+    named: Fraction = 0.5
     ahead: Annotated[float, Field(ge=1, allow_inf_nan=False)] = 3.0
     beside: NonNegative = 2.0
+
+    def needed(self, name: str) -> float:
+        """Probability from which on a hypothesis can be the answer."""
+        return self.likely if name == NONE else max(self.likely, self.named)
 
 
 DEFAULT = VerdictSettings()
 
 
 def is_clear(found: Mapping[str, float], settings: VerdictSettings = DEFAULT) -> bool:
-    """Whether the most probable hypothesis is the answer: at least as likely as not, and far ahead."""
-    first, second = (*sorted(found.values(), reverse=True), 0.0)[:2]
-    return first >= settings.likely and first >= settings.ahead * second
+    """Whether the most probable hypothesis is the answer: likely enough, and far ahead."""
+    name = max(found, key=lambda one: found[one])
+    others = max((p for one, p in found.items() if one != name), default=0.0)
+    return found[name] >= settings.needed(name) and found[name] >= settings.ahead * others
 
 
 def verdict_of(

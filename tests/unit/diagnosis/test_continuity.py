@@ -101,6 +101,18 @@ def test_local_unknowns_follow_the_shared_ones() -> None:
     np.testing.assert_allclose(np.concatenate(Joined(all_systems, SIZE).locals(shared)), best)
 
 
+def test_a_step_promises_what_the_quadratic_falls_by() -> None:
+    all_systems = systems(3)
+    H, g, _ = whole(all_systems)
+    joined, shared = Joined(all_systems, SIZE), np.array([0.3, -0.2, 0.1])
+    step = np.concatenate((shared, *joined.locals(shared)))
+    assert joined.promised(shared) == pytest.approx(-(g @ step + 0.5 * step @ H @ step))
+    # A damped step goes less far, and promises no more than it keeps.
+    damped = Joined(all_systems, SIZE, 5.0)
+    step = np.concatenate((shared, *damped.locals(shared)))
+    assert damped.promised(shared) < -(g @ step + 0.5 * step @ H @ step)
+
+
 def test_the_end_of_a_window_moves_as_its_derivative_says() -> None:
     """With the wind, and with the start."""
     frames, substeps = 5, 3

@@ -149,6 +149,10 @@ def test_an_answer_is_given_when_the_settings_say() -> None:
     assert answer().effect == AMBIGUOUS
     assert answer(ahead=2.0).effect == "air_drag"
     assert answer(ahead=2.0, likely=0.7).effect == AMBIGUOUS
+    assert answer(ahead=2.0, named=0.7).effect == AMBIGUOUS
+    # That nothing acts needs no more than before.
+    nothing = {NONE: 0.62, "gusts": 0.1}
+    assert verdict_of(nothing, {}, CALIBRATION, {}, settings=VerdictSettings(named=0.9)).effect == NONE
     assert answer().candidates == ("air_drag", "gusts")
     assert answer(level=0.95).candidates == ("air_drag", "gusts", NONE)
     both = {"air_drag": 40.0, "mask_bias": 25.0}
