@@ -153,6 +153,27 @@ class TestFits:
     def test_a_misfit_never_rises(self, dragged: Problem) -> None:
         assert (np.diff(dragged.drag.history) < 0).all()
 
+    def test_a_full_step_that_gains_little_is_no_arrival(
+        self, dragged: Problem, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """Where the quadratic promises more than a step keeps, a shorter one is taken."""
+        fitting = dragged.fitting
+        whole = fitting.fitted((drag(0.0),), dragged.base)
+        steps: list[float] = []
+        really = JointFitting._moved
+
+        def disappointing(self: JointFitting, layout, place, values, coefficients, *rest):
+            found = really(self, layout, place, values, coefficients, *rest)
+            steps.append(float(np.linalg.norm(values - place.values)))
+            # The first full step ends on a ledge just below where it began.
+            return replace(place, misfit=place.misfit - 1e-3) if len(steps) == 1 else found
+
+        monkeypatch.setattr(JointFitting, "_moved", disappointing)
+        other = fitting.fitted((drag(0.0),), dragged.base)
+        assert steps[1] < steps[0]
+        assert other.misfit == pytest.approx(whole.misfit, abs=2.0)
+        assert dragged.base.misfit - other.misfit > 10
+
     def test_a_free_force_buys_what_the_effect_explains(self, dragged: Problem) -> None:
         clips = [joint_clip(*clip(WINDS[0], (drag(DRAG),)), FRAMES, forces=True)]
         loose = JointFitting(clips, 1.5 * STIFFNESS, np.zeros(3), JointFitSettings(force=1.6))
