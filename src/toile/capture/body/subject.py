@@ -125,7 +125,9 @@ class Subject:
                 joint_limits=floats["joint_limits"],
             )
         except InputError as error:
-            raise InputError(error.what, where=f"{path}: {error.where}", expected=error.expected, got=error.got) from error
+            raise InputError(
+                error.what, where=f"{path}: {error.where}", expected=error.expected, got=error.got
+            ) from error
 
     def landmarks(self, vertices: Tensor) -> Tensor:
         """Landmarks of posed vertices: (..., V, 3) -> (..., L, 3)."""
@@ -212,13 +214,15 @@ def _check(subject: Subject) -> None:
         if got != shape:
             raise wrong("Subject has an array of the wrong shape", name, str(shape), str(got))
     if not bool(torch.isfinite(subject.rest_vertices).all()):
-        raise wrong("Subject has positions that are not finite", "rest_vertices", "finite numbers", "nan or inf")
+        raise wrong(
+            "Subject has positions that are not finite", "rest_vertices", "finite numbers", "nan or inf"
+        )
     for name, indices, upper in (
         ("faces", subject.faces, v),
         ("skinning_indices", subject.skinning_indices, j),
         ("landmark_indices", subject.landmark_indices, v),
     ):
-        if indices.numel() and not (0 <= int(indices.min()) and int(indices.max()) < upper):
+        if indices.numel() and not (int(indices.min()) >= 0 and int(indices.max()) < upper):
             got = f"{int(indices.min())} to {int(indices.max())}"
             raise wrong("Subject has an index out of range", name, f"0 to {upper - 1}", got)
     weights = subject.skinning_weights
@@ -242,4 +246,6 @@ def _check(subject: Subject) -> None:
         )
     for name, mask in subject.parts.items():
         if mask.shape != (v,) or mask.dtype != torch.bool:
-            raise wrong("A part is no mask of the vertices", f"parts[{name}]", f"bool ({v},)", str(mask.shape))
+            raise wrong(
+                "A part is no mask of the vertices", f"parts[{name}]", f"bool ({v},)", str(mask.shape)
+            )

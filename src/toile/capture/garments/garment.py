@@ -162,7 +162,7 @@ def _check(garment: Garment) -> None:
                 "Garment has an array of the wrong shape", where=name, expected=str(shape), got=str(got)
             )
     for name, indices in (("faces", garment.faces), ("attached", garment.attached)):
-        if indices.numel() and not (0 <= int(indices.min()) and int(indices.max()) < n):
+        if indices.numel() and not (int(indices.min()) >= 0 and int(indices.max()) < n):
             raise InputError(
                 "Garment has an index out of range",
                 where=name,
