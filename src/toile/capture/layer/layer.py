@@ -1,29 +1,60 @@
 """The simulation layer S: from cloth and body at two times to the cloth at the next one.
 
-Li et al., Deep Physics-aware Inference of Cloth Deformation for Monocular Human Performance Capture, 3DV 2021,
-section 3.2.
+Li et al., Deep Physics-aware Inference of Cloth Deformation for Monocular Human Performance Capture, 3DV
+2021, section 3.2: implicit Euler as a minimisation, with adaptive regularisation and a back-tracking line
+search, contact with the body, and their Eq. 1, which draws the silhouette to the rays of its pixels.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-if TYPE_CHECKING:
-    from toile.capture.body.subject import Subject
-    from toile.capture.garments import Garment
+from toile.capture.body.subject import Subject
+from toile.capture.garments.garment import Garment, attached_targets
+from toile.errors import InputError
+from toile.limits import Count, Positive
+from toile.physics.cloth import mesh_cloth
+from toile.physics.contact.body import BodyContact, ContactSettings
+from toile.physics.energies.membrane import Membrane, NeoHookean
+from toile.physics.implicit.integrators import BackwardEuler
+from toile.physics.implicit.newton import NewtonSettings
+from toile.physics.implicit.renewed import RenewingSimulator
+from toile.physics.material import Material
+from toile.physics.simulator import StepStatus
+from toile.physics.state import State
+from toile.physics.step_terms import StepTerm
 
 Array = NDArray[np.float64]
+
+GRAVITY = 9.81
+"""Along -y [m/s²]."""
 
 
 @dataclass(frozen=True)
 class LayerSettings:
-    """Settings of the layer; see docs/capture.md for what they were chosen by."""
+    """Settings of the layer; see docs/capture.md for what they were chosen by.
+
+    Attributes:
+        tolerance: see NewtonSettings; of the last pass.
+        loosely: that of the passes before as a multiple.
+        max_iterations: Newton iterations of a pass.
+        passes: solves per step, the contacts renewed in between.
+        contact: see ContactSettings.
+    """
+
+    tolerance: Positive = 1e-3
+    loosely: Positive = 10.0
+    max_iterations: Count = 60
+    passes: Count = 3
+    contact: ContactSettings = field(default_factory=ContactSettings)
 
 
 @dataclass(frozen=True)
@@ -33,8 +64,8 @@ class LayerStep:
     Attributes:
         positions: x_{n+1} (N, 3) [m], a float64 tensor; differentiable if an input required gradients.
         velocities: (x_{n+1} - x_n) / h (N, 3) [m/s].
-        converged: whether every solve of the step reached the tolerance.
-        newton_steps: factorisations of all outer passes together.
+        converged: whether the last solve of the step reached the tolerance.
+        newton_steps: Newton iterations of all passes together.
         contacts: number of contacts that push at the end, cloth vertices and body vertices.
         residual: largest out-of-balance force on a vertex [N].
     """
@@ -73,39 +104,94 @@ class Motion:
 class SimulationLayer:
     """A garment on a body whose motion is given.
 
-    World frame: y up, floor at y = 0, metres, seconds, kilograms.
+    World frame: y up, floor at y = 0, metres, seconds, kilograms. Attached vertices go where the body takes
+    them and collide with nothing.
 
     Args:
         garment: rest shape, attachment and material.
         body_faces: (T, 3) int64, counter-clockwise seen from outside.
         inactive: (V,) bool, body vertices that nothing collides with (the arms); none if None.
         settings: see LayerSettings.
+        membrane: law of in-plane strain.
+        terms: what acts within a step besides, e.g. air drag; see StepTerm.
+
+    Attributes:
+        cloth: the garment as a cloth.
+        contact: finds its contacts.
     """
 
     def __init__(
         self,
         garment: Garment,
-        body_faces: NDArray[np.int64],
-        inactive: NDArray[np.bool_] | None = None,
+        body_faces: Tensor,
+        inactive: Tensor | None = None,
         settings: LayerSettings | None = None,
+        membrane: type[Membrane] = NeoHookean,
+        terms: Sequence[StepTerm] = (),
     ) -> None:
-        raise NotImplementedError
+        self.garment = garment
+        self.settings = settings or LayerSettings()
+        self.body_faces = body_faces
+        self._terms = tuple(terms)
+        material = garment.material
+        self.cloth = mesh_cloth(
+            garment.rest_vertices,
+            garment.faces,
+            material.density,
+            tuple(garment.attached.tolist()),
+            membrane,
+            flat=False,
+        )
+        faces = body_faces.numpy()
+        self._n_body = int(faces.max()) + 1
+        if inactive is not None:
+            self._n_body = len(inactive)
+            faces = faces[~inactive.numpy()[faces].any(1)]
+        self.contact = BodyContact(
+            self.cloth.topology,
+            self.cloth.masses.numpy(),
+            garment.attached.numpy(),
+            self._n_body,
+            faces,
+            self.settings.contact,
+        )
+        self._simulators: dict[float, RenewingSimulator] = {}
+        self._gravity = torch.zeros(self.cloth.n_vertices, 3, dtype=torch.float64)
+        self._gravity[:, 1] = -GRAVITY * self.cloth.masses
 
     @staticmethod
-    def of(garment: Garment, subject: Subject, settings: LayerSettings | None = None) -> SimulationLayer:
-        """The layer of a garment on a subject, whose arms collide with nothing."""
-        raise NotImplementedError
+    def of(
+        garment: Garment,
+        subject: Subject,
+        settings: LayerSettings | None = None,
+        membrane: type[Membrane] = NeoHookean,
+        terms: Sequence[StepTerm] = (),
+    ) -> SimulationLayer:
+        """The layer of a garment on a subject, whose arms collide with nothing (as in the paper)."""
+        return SimulationLayer(garment, subject.faces, subject.parts["arms"], settings, membrane, terms)
+
+    @property
+    def material(self) -> Material:
+        """Stiffnesses of the garment's material."""
+        m = self.garment.material
+        return self.cloth.material(young=m.young, poisson=m.poisson, bending=m.bending)
 
     def step(
         self,
         positions: Tensor,
         velocities: Tensor,
-        body: Array,
-        next_body: Array,
+        body: Tensor,
+        next_body: Tensor,
         time_step: float,
-        silhouettes: Sequence[object] = (),
+        *,
+        material: Material | None = None,
+        friction: float | Tensor | None = None,
+        attached: Tensor | None = None,
     ) -> LayerStep:
         """One step of implicit Euler.
+
+        Differentiable by everything that is a tensor here but the body, by the implicit function theorem at
+        the solution; the contacts (planes, normal forces of the friction) count as given.
 
         Args:
             positions: x_n (N, 3) [m], float64.
@@ -113,19 +199,49 @@ class SimulationLayer:
             body: vertices of the body at the step's begin (V, 3) [m].
             next_body: and at its end (V, 3) [m].
             time_step: h [s].
-            silhouettes: of Eq. 1, one per view; see SilhouetteRays.
+            material: stiffnesses, a batch of one; the garment's if None.
+            friction: μ; the garment's if None.
+            attached: attached vertices at the end (A, 3) [m]; where the body takes them if None.
         """
-        raise NotImplementedError
+        contact = self.contact.begin(
+            positions.detach().numpy(),
+            body.numpy(),
+            next_body.numpy(),
+            self.garment.material.friction if friction is None else friction,
+            time_step,
+        )
+        if attached is None:
+            attached = attached_targets(self.garment, next_body, self.body_faces)
+        simulator = self._simulator(time_step)
+        state = State.start(positions[None], velocities[None], time_step, simulator.n_past)
+        predicted = (positions + time_step * velocities).detach().numpy()
+        result = simulator.step_with(
+            [contact],
+            state,
+            self.material if material is None else material,
+            self._gravity[None],
+            attached[None],
+            torch.from_numpy(contact.outside(predicted))[None],
+        )
+        found = result.state.positions[0]
+        return LayerStep(
+            positions=found,
+            velocities=(found - positions) / time_step,
+            converged=result.status[0] is StepStatus.CONVERGED,
+            newton_steps=result.iterations[0],
+            contacts=contact.pushing(found.detach().numpy()),
+            residual=result.residual[0],
+        )
 
     def simulate(
         self,
-        body_positions: Array,
+        body_positions: Tensor,
         fps: float,
         substeps: int = 4,
-        start: Array | None = None,
-        velocities: Array | None = None,
+        start: Tensor | None = None,
+        velocities: Tensor | None = None,
     ) -> Motion:
-        """Simulate F frames from rest.
+        """Simulate F frames.
 
         Args:
             body_positions: (F, V, 3) [m]; linear in between.
@@ -133,5 +249,64 @@ class SimulationLayer:
             substeps: steps per frame.
             start: garment at frame 0 (N, 3) [m]; its rest shape if None.
             velocities: at frame 0 (N, 3) [m/s]; 0 if None.
+
+        Raises:
+            InputError: the body has another number of vertices than the layer's.
         """
-        raise NotImplementedError
+        body_positions = torch.as_tensor(body_positions, dtype=torch.float64)
+        if body_positions.ndim != 3 or body_positions.shape[1] < self._n_body:
+            raise InputError(
+                "Body does not fit the layer",
+                where="body_positions",
+                expected=f"shape (F, {self._n_body}, 3)",
+                got=str(tuple(body_positions.shape)),
+            )
+        x = self.garment.rest_vertices.clone() if start is None else start.clone()
+        v = torch.zeros_like(x) if velocities is None else velocities
+        h = 1.0 / (fps * substeps)
+        frames = [x]
+        energies = [self._energies(x, v)]
+        steps: list[list[LayerStep]] = []
+        seconds = []
+        body = body_positions[0]
+        with torch.no_grad():
+            for before, after in pairwise(body_positions):
+                begin = time.perf_counter()
+                steps.append([])
+                for sub in range(1, substeps + 1):
+                    next_body = after if sub == substeps else torch.lerp(before, after, sub / substeps)
+                    step = self.step(x, v, body, next_body, h)
+                    x, v, body = step.positions, step.velocities, next_body
+                    steps[-1].append(step)
+                seconds.append(time.perf_counter() - begin)
+                frames.append(x)
+                energies.append(self._energies(x, v))
+        kinetic, elastic, gravitational = (np.array(column) for column in zip(*energies, strict=True))
+        return Motion(
+            garment_positions=torch.stack(frames).numpy(),
+            converged=np.array([[s.converged for s in row] for row in steps], np.bool_),
+            newton_steps=np.array([[s.newton_steps for s in row] for row in steps], np.int64),
+            residuals=np.array([[s.residual for s in row] for row in steps]),
+            kinetic=kinetic,
+            elastic=elastic,
+            gravitational=gravitational,
+            seconds=np.array(seconds),
+        )
+
+    def _energies(self, x: Tensor, v: Tensor) -> tuple[float, float, float]:
+        coefficients = self.cloth.energies.coefficients(self.material.values[0])
+        kinetic = 0.5 * float((self.cloth.masses[:, None] * v.square()).sum())
+        return kinetic, float(self.cloth.energies.energy(x, coefficients)), -float((self._gravity * x).sum())
+
+    def _simulator(self, time_step: float) -> RenewingSimulator:
+        if time_step not in self._simulators:
+            self._simulators[time_step] = RenewingSimulator(
+                self.cloth,
+                time_step,
+                BackwardEuler(),
+                NewtonSettings(self.settings.tolerance, self.settings.max_iterations),
+                self.settings.passes,
+                self.settings.loosely,
+                self._terms,
+            )
+        return self._simulators[time_step]
