@@ -1,33 +1,99 @@
 """Warp kernels of the questions to a moving surface."""
 
 # Kernels are Python in syntax only: arrays and numbers follow Warp's own typing rules.
-# mypy: disable-error-code="attr-defined, no-untyped-def, valid-type"
+# mypy: disable-error-code="attr-defined, no-untyped-def, operator, valid-type"
 
 import warp as wp
+
+# Closer than this to the surface [m] the way to the nearest point is the face's normal.
+_CLOSE = 1.0e-7
+
+
+@wp.func
+def place_on_triangle(p: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
+    """Barycentric coordinates of a triangle's nearest point (Ericson, Real-Time Collision Detection, 5.1.5)."""
+    zero = wp.float64(0.0)
+    one = wp.float64(1.0)
+    ab = b - a
+    ac = c - a
+    d1 = wp.dot(ab, p - a)
+    d2 = wp.dot(ac, p - a)
+    if d1 <= zero and d2 <= zero:
+        return wp.vec3d(one, zero, zero)
+    d3 = wp.dot(ab, p - b)
+    d4 = wp.dot(ac, p - b)
+    if d3 >= zero and d4 <= d3:
+        return wp.vec3d(zero, one, zero)
+    vc = d1 * d4 - d3 * d2
+    if vc <= zero and d1 >= zero and d3 <= zero:
+        t = d1 / (d1 - d3)
+        return wp.vec3d(one - t, t, zero)
+    d5 = wp.dot(ab, p - c)
+    d6 = wp.dot(ac, p - c)
+    if d6 >= zero and d5 <= d6:
+        return wp.vec3d(zero, zero, one)
+    vb = d5 * d2 - d1 * d6
+    if vb <= zero and d2 >= zero and d6 <= zero:
+        t = d2 / (d2 - d6)
+        return wp.vec3d(one - t, zero, t)
+    va = d3 * d6 - d5 * d4
+    if va <= zero and d4 - d3 >= zero and d5 - d6 >= zero:
+        t = (d4 - d3) / ((d4 - d3) + (d5 - d6))
+        return wp.vec3d(zero, one - t, t)
+    scale = one / (va + vb + vc)
+    return wp.vec3d(va * scale, vb * scale, vc * scale)
 
 
 @wp.kernel(enable_backward=False)
 def nearest_places(
     mesh: wp.uint64,
-    points: wp.array(dtype=wp.vec3f),
+    vertices: wp.array(dtype=wp.vec3d),
+    triangles: wp.array(dtype=wp.int32, ndim=2),
+    points: wp.array(dtype=wp.vec3d),
     reach: wp.float32,
     with_sign: wp.bool,
     faces: wp.array(dtype=wp.int32),
-    places: wp.array(dtype=wp.vec3f),
+    weights: wp.array(dtype=wp.vec3d),
+    nearest: wp.array(dtype=wp.vec3d),
+    normals: wp.array(dtype=wp.vec3d),
+    distances: wp.array(dtype=wp.float64),
 ):
-    """Nearest face (-1: none within reach), and of the point on it two barycentric coordinates and a side."""
+    """Nearest face (-1: none within reach) by single precision, and the nearest point on it by double."""
     i = wp.tid()
-    faces[i] = -1
+    p = points[i]
+    asked = wp.vec3f(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2]))
+    face = wp.int32(-1)
+    sign = wp.float64(1.0)
     if with_sign:
-        found = wp.mesh_query_point_sign_normal(mesh, points[i], reach)
+        found = wp.mesh_query_point_sign_normal(mesh, asked, reach)
         if found.result:
-            faces[i] = found.face
-            places[i] = wp.vec3f(found.u, found.v, found.sign)
+            face = found.face
+            sign = wp.float64(found.sign)
     else:
-        other = wp.mesh_query_point_no_sign(mesh, points[i], reach)
+        other = wp.mesh_query_point_no_sign(mesh, asked, reach)
         if other.result:
-            faces[i] = other.face
-            places[i] = wp.vec3f(other.u, other.v, wp.float32(1.0))
+            face = other.face
+    faces[i] = face
+    if face < 0:
+        return
+    a = vertices[triangles[face, 0]]
+    b = vertices[triangles[face, 1]]
+    c = vertices[triangles[face, 2]]
+    w = place_on_triangle(p, a, b, c)
+    on = w[0] * a + w[1] * b + w[2] * c
+    away = p - on
+    length = wp.length(away)
+    normal = wp.normalize(wp.cross(b - a, c - a))
+    if length > wp.float64(_CLOSE):
+        across = wp.dot(away, normal)
+        # Single precision may take a point just beside the surface for one on the other side.
+        if wp.min(wp.min(w[0], w[1]), w[2]) > wp.float64(0.0) and with_sign:
+            sign = wp.sign(across)
+        normal = away * (sign / length)
+    weights[i] = w
+    nearest[i] = on
+    normals[i] = normal
+    distances[i] = sign * length
 
 
 @wp.kernel(enable_backward=False)
