@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cache
 from typing import Annotated
 
 import numpy as np
@@ -125,12 +126,16 @@ def make_skirt(
     _check_size(subject, vertices, top, length)
     levels = np.arange(top, top - length - LEVEL, -LEVEL)
 
-    def build(spacing: float, distance: float) -> _Mesh:
-        made = _rings(levels, _widening(body, levels, distance, flare), length, spacing)
+    @cache
+    def outlines(distance: float) -> list[Floats]:
+        return _widening(body, levels, distance, flare)
+
+    def build(spacing: float, distance: float, _: float) -> _Mesh:
+        made = _rings(levels, outlines(distance), length, spacing)
         held = made.rings <= np.searchsorted(top - made.vertices[made.starts[:-1], 1], waistband + 1e-9) - 1
         return _Mesh(made.vertices, made.faces, np.flatnonzero(held | (made.rings == 0)))
 
-    return _fitted(subject, body, build, vertices, ease, material, "skirt")
+    return _fitted(subject, body, build, vertices, ease, material, "skirt", np.inf)
 
 
 def make_dress(
@@ -162,20 +167,23 @@ def make_dress(
     upper = np.arange(top, waist, -LEVEL)
     lower = np.arange(waist, waist - length - LEVEL, -LEVEL)
 
-    def build(spacing: float, distance: float) -> _Mesh:
+    @cache
+    def outlines(distance: float) -> list[Floats]:
         close = [grown(body.section(height), distance) for height in upper]
-        outlines = close + _widening(body, lower, distance, flare)
-        made = _rings(np.concatenate((upper, lower)), outlines, top - waist + length, spacing)
+        return close + _widening(body, lower, distance, flare)
+
+    def build(spacing: float, distance: float, over: float) -> _Mesh:
+        made = _rings(np.concatenate((upper, lower)), outlines(distance), top - waist + length, spacing)
         parts = [_Mesh(made.vertices, made.faces, np.empty(0, dtype=np.int64))]
         for side in (1, -1):
-            parts.append(_strap(body, made, side, spacing, distance, strap_width, sum(map(_count, parts))))
+            parts.append(_strap(body, made, side, spacing, over, strap_width, sum(map(_count, parts))))
         return _Mesh(
             np.concatenate([part.vertices for part in parts]),
             np.concatenate([part.faces for part in parts]),
             np.concatenate([part.attached for part in parts]),
         )
 
-    return _fitted(subject, body, build, vertices, ease, material, "dress")
+    return _fitted(subject, body, build, vertices, ease, material, "dress", top + 0.01)
 
 
 def waist_height(subject: Subject) -> float:
@@ -220,17 +228,23 @@ def armpit_height(subject: Subject) -> float:
 class _Body:
     """The trunk and the legs at rest, with sections that are made once."""
 
-    def __init__(self, vertices: Floats, faces: Indices, trunk: Indices) -> None:
+    def __init__(self, vertices: Floats, faces: Indices, trunk: Indices, strap_place: float) -> None:
         self.vertices, self.faces, self.trunk = vertices, faces, trunk
+        self.strap_place = strap_place
         self._sections: dict[float, Floats] = {}
 
     @classmethod
     def of(cls, subject: Subject) -> _Body:
         apart = [part for part in ("arms", "head") if part in subject.parts]
+        roles = humanoid_joints(subject.joint_names)
+        ends = [roles[role] for role in ("left_shoulder", "left_upper_arm") if role in roles]
+        places = subject.rest_joints[ends, 0, 3]
         return cls(
             subject.rest_vertices.numpy(),
             subject.faces_without("arms").numpy(),
             subject.faces_without(*apart).numpy(),
+            # Half-way along the collar bone.
+            float(places.abs().mean()) if len(ends) else 0.055 * subject.height,
         )
 
     def section(self, height: float) -> Floats:
@@ -268,11 +282,16 @@ def _strap(
     """Rows of vertices over a shoulder, from the bodice's upper ring in front to that in the back."""
     ring = bodice.vertices[: bodice.starts[1]]
     columns = max(2, round(width / spacing) + 1)
-    place, middle = side * 0.55 * float(np.abs(ring[:, 0]).max()), float(ring[:, 2].mean())
+    place, middle = side * body.strap_place, float(ring[:, 2].mean())
     # Around the ring x falls in front and rises in the back: columns go the other way there.
     front = _columns(ring, ring[:, 2] > middle, place, columns, 1)
-    back = _columns(ring, ring[:, 2] < middle, float(ring[front, 0].mean()), columns, -1)
-    chains = [_over_shoulder(body, ring[f], ring[b], ease) for f, b in zip(front, back, strict=True)]
+    back = _columns(ring, ring[:, 2] < middle, place, columns, -1)
+    step = min(spacing, 0.05 / (columns - 1))
+    tops = place - step * (np.arange(columns) - 0.5 * (columns - 1))
+    chains = [
+        _over_shoulder(body, ring[f], ring[b], top, ease)
+        for f, b, top in zip(front, back, tops, strict=True)
+    ]
     rows = max(4, round(np.mean([_along(chain)[-1] for chain in chains]) / spacing))
     shares = np.linspace(0.0, 1.0, rows + 1)[1:-1]
     grid = np.empty((rows + 1, columns), dtype=np.int64)
@@ -287,7 +306,9 @@ def _strap(
     )
     a, b, c, d = grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]
     faces = np.stack((np.stack((a, c, b), -1), np.stack((a, d, c), -1)), 2).reshape(-1, 3)
-    held = np.flatnonzero(np.abs(shares - 0.5) <= max(0.1, 0.75 / rows))
+    # Fixed are the rows on top of the shoulder, two at least: one would let the strap turn about itself.
+    top = float(shares[int(np.argmax(points[:, :, 1].mean(0)))])
+    held = np.flatnonzero(np.abs(shares - top) <= max(0.05, 1.01 / rows))
     return _Mesh(points.transpose(2, 0, 1).reshape(-1, 3), faces, grid[1:-1][held].ravel())
 
 
@@ -299,26 +320,37 @@ def _columns(ring: Floats, facing: npt.NDArray[np.bool_], x: float, columns: int
     return chosen
 
 
-def _over_shoulder(body: _Body, front: Floats, back: Floats, ease: float) -> Floats:
-    """The way from a point in front over the shoulder to one in the back, at a distance from the body."""
-    across = np.array([back[0] - front[0], 0.0, back[2] - front[2]])
-    across /= np.linalg.norm(across)
-    normal = np.cross(across, [0.0, 1.0, 0.0])
-    points = plane_section(body.vertices, body.trunk, normal, float(normal @ front)).reshape(-1, 3)
+def _over_shoulder(body: _Body, front: Floats, back: Floats, top: float, ease: float) -> Floats:
+    """The way from a point in front over the shoulder to one in the back, at a distance from the body.
+
+    It follows the section of the trunk at x = ``top``, and swerves to the two points at its ends.
+    """
+    points = plane_section(body.vertices, body.trunk, np.array([1.0, 0.0, 0.0]), top).reshape(-1, 3)
     above = points[points[:, 1] > min(front[1], back[1]) - 0.01]
     if len(above) < 3:
         raise InputError(
             "Strap finds no shoulder",
             where="garment",
             expected="a trunk above the upper edge",
-            got=f"nothing at x = {front[0]:.3f} m",
+            got=f"nothing at x = {top:.3f} m",
         )
-    flat = grown(hull(np.stack(((above - front) @ across, above[:, 1]), 1)), ease)
+    flat = grown(hull(above[:, [2, 1]]), ease)
     over = flat[flat[:, 1] > max(front[1], back[1]) + 0.01]
-    over = over[np.argsort(np.arctan2(over[:, 1] - front[1], over[:, 0] - over[:, 0].mean()))[::-1]]
-    chain = front + over[:, :1] * across
-    chain[:, 1] = over[:, 1]
-    return np.concatenate((front[None], chain, back[None]))
+    # From front to back, seen from the middle of the points at the height of the ends.
+    over = over[np.argsort(np.arctan2(over[:, 1] - front[1], over[:, 0] - over[:, 0].mean()))]
+    chain = np.stack((np.full(len(over), top), over[:, 1], over[:, 0]), 1)
+    chain = np.concatenate((front[None], chain, back[None]))
+    share = _along(chain) / _along(chain)[-1]
+    # The swerve is over in the first and last third of the way.
+    for end, weight in ((front, 1 - 3 * share), (back, 3 * share - 2)):
+        chain[1:-1, 0] += (end[0] - top) * _smooth(weight[1:-1])
+    return chain
+
+
+def _smooth(x: Floats) -> Floats:
+    """0 below 0, 1 above 1, with zero slope at both."""
+    x = np.clip(x, 0.0, 1.0)
+    return np.asarray(x * x * (3 - 2 * x), dtype=np.float64)
 
 
 def _along(chain: Floats) -> Floats:
@@ -332,21 +364,36 @@ def _count(mesh: _Mesh) -> int:
 def _fitted(
     subject: Subject,
     body: _Body,
-    build: Callable[[float, float], _Mesh],
+    build: Callable[[float, float, float], _Mesh],
     vertices: float,
     ease: float,
     material: Material | None,
     name: str,
+    upper: float,
 ) -> Garment:
-    """Build with the spacing that gives the number of vertices, and the ease that keeps off the body."""
-    distance = ease
+    """Build with the spacing that gives the number of vertices, and the ease that keeps off the body.
+
+    Chords of coarse rings cut into what they should go around: the ease around the trunk, or that of the straps
+    above ``upper``, is raised until there is room.
+    """
+    spacing = _spacing(lambda spacing: _count(build(spacing, ease, ease)), vertices)
+    trunk = straps = ease
     enough = min(0.5 * ease, 0.004)
-    for _ in range(8):
-        mesh = build(_spacing(lambda spacing, at=distance: _count(build(spacing, at)), vertices), distance)
+    for _ in range(20):
+        mesh = build(spacing, trunk, straps)
         measured = clearance(mesh.vertices, mesh.faces, body.vertices, body.faces)
         if measured.least >= enough and not measured.crossings:
             break
-        distance += max(enough - measured.least, 0.0) + 0.001
+        missing = np.concatenate((enough - measured.vertices, enough - measured.body))
+        above = np.concatenate((mesh.vertices[:, 1], body.vertices[:, 1])) > upper
+        more = [float(missing[where].max(initial=-np.inf)) for where in (~above, above)]
+        if max(more) <= 0:
+            more = [0.0, 0.0]
+        # In small steps: a vertex far on the wrong side comes right with the first crossing that goes.
+        trunk, straps = (
+            at + (min(max(lack, 0.001), 0.003) if lack >= 0 else 0.0)
+            for at, lack in zip((trunk, straps), more, strict=True)
+        )
     else:
         raise InputError(
             "Garment does not fit the subject without penetration",

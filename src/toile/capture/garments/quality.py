@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import igl
 import numpy as np
+import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from toile.capture.garments.sections import Floats, Indices
@@ -61,13 +62,35 @@ def clearance(
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
     along = ((closest - body_vertices[used]) * normal).sum(1)
-    # Closest at the garment's border or a ridge: not straight below a face, which side is open.
-    straight = np.abs(along) > 0.9 * np.sqrt(squared)
-    seen = straight & (squared < reach**2)
+    # Closest at the border: the vertex is beside the cloth, on neither side of it. At a ridge the face's normal
+    # says little.
+    straight = np.abs(along) > 0.5 * np.sqrt(squared)
+    inside = ~_on_border(garment_vertices, garment_faces, face, closest)
+    seen = straight & inside & (squared < reach**2)
     body[used[seen]] = along[seen]
     crossings = crossing_edges(garment_vertices, garment_faces, body_vertices, body_faces)
     crossings += crossing_edges(body_vertices, body_faces, garment_vertices, garment_faces)
     return Clearance(np.asarray(distance, dtype=np.float64).ravel(), body, crossings)
+
+
+def border_edges(faces: Indices) -> npt.NDArray[np.bool_]:
+    """Whether the edge opposite to each corner belongs to one face only, (T, 3)."""
+    edges = np.sort(np.stack((faces[:, [1, 2]], faces[:, [2, 0]], faces[:, [0, 1]]), 1).reshape(-1, 2), axis=1)
+    _, inverse, count = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
+    return np.asarray(count[inverse.ravel()] == 1).reshape(-1, 3)
+
+
+def _on_border(vertices: Floats, faces: Indices, face: Indices, points: Floats) -> npt.NDArray[np.bool_]:
+    corners = [np.ascontiguousarray(vertices[faces[face, k]]) for k in range(3)]
+    barycentric = np.asarray(igl.barycentric_coordinates(np.ascontiguousarray(points), *corners))
+    touches = barycentric < 1e-6
+    on_edge = (touches & border_edges(faces)[face]).any(1)
+    border = np.zeros(len(vertices), dtype=bool)
+    opposite = border_edges(faces)
+    for corner in range(3):
+        border[faces[opposite[:, corner]][:, [(corner + 1) % 3, (corner + 2) % 3]]] = True
+    at_vertex = (touches.sum(1) == 2) & border[faces[face, barycentric.argmax(1)]]
+    return np.asarray(on_edge | at_vertex)
 
 
 def crossing_edges(vertices: Floats, faces: Indices, others: Floats, other_faces: Indices) -> int:
