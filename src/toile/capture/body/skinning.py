@@ -79,19 +79,40 @@ def dual_quaternion_blend(vertices: Tensor, indices: Tensor, weights: Tensor, tr
     """
     real = roma.rotmat_to_unitquat(transforms[:, :, :3, :3])
     shift = torch.cat((transforms[:, :, :3, 3], torch.zeros_like(real[..., :1])), -1)
-    dual = 0.5 * roma.quat_product(shift, real)
+    both = torch.cat((real, 0.5 * roma.quat_product(shift, real)), -1)
+    blended = _dense(indices, weights, transforms.shape[1]) @ both
     strongest = indices.gather(1, weights.argmax(1, keepdim=True))
-    real_of, pivot = real[:, indices], real[:, strongest]
-    sign = torch.where((real_of * pivot).sum(-1) < 0, -1.0, 1.0).to(weights.dtype)
-    signed = (sign * weights)[..., None]
-    blended_real = (signed * real_of).sum(-2)
-    blended_dual = (signed * dual[:, indices]).sum(-2)
-    length = blended_real.norm(dim=-1, keepdim=True)
-    unit, dual_unit = blended_real / length, blended_dual / length
-    # 2 dual * conjugate(real); its vector part is the translation, its scalar part, which a sum of unit dual
-    # quaternions may have, is what the normalisation of the dual part would remove.
-    translation = 2 * roma.quat_product(dual_unit, roma.quat_conjugation(unit))[..., :3]
-    return roma.quat_action(unit, vertices.expand(*unit.shape[:-1], 3)) + translation
+    opposed = (real @ real.mT < 0).nonzero()
+    if len(opposed):
+        # Few vertices have joints of opposed quaternions: they alone are summed with signs.
+        frame, vertex = _meet(opposed, indices, weights, strongest, len(transforms))
+        of, own = real[frame[:, None], indices[vertex]], real[frame, strongest[vertex, 0]]
+        sign = torch.where((of * own[:, None]).sum(-1) < 0, -1.0, 1.0).to(weights.dtype)
+        blended[frame, vertex] = ((sign * weights[vertex])[..., None] * both[frame[:, None], indices[vertex]]).sum(1)
+    unit, dual = (blended / blended[..., :4].norm(dim=-1, keepdim=True)).split(4, dim=-1)
+    # 2 dual conjugate(real): the vector part is the translation, the scalar part is what the normalisation of
+    # the dual part would take away.
+    vector, scalar = unit[..., :3], unit[..., 3:]
+    translation = 2 * (
+        scalar * dual[..., :3] - dual[..., 3:] * vector + torch.linalg.cross(vector, dual[..., :3])
+    )
+    turn = 2 * torch.linalg.cross(vector, vertices.expand_as(vector))
+    return vertices + scalar * turn + torch.linalg.cross(vector, turn) + translation
+
+
+def _meet(
+    opposed: Tensor, indices: Tensor, weights: Tensor, strongest: Tensor, frames: int
+) -> tuple[Tensor, Tensor]:
+    """Frames and vertices where a joint is opposed to the vertex's strongest one; ``opposed`` (P, 3)."""
+    pairs = torch.zeros(frames, int(indices.max()) + 1, int(indices.max()) + 1, dtype=torch.bool)
+    inside = (opposed[:, 1:] < pairs.shape[1]).all(1)
+    pairs[tuple(opposed[inside].T)] = True
+    found = []
+    for frame in opposed[:, 0].unique().tolist():
+        at = (pairs[frame][strongest, indices] & (weights > 0)).any(1).nonzero()[:, 0]
+        found.append(torch.stack((torch.full_like(at, frame), at)))
+    frame, vertex = torch.cat(found, 1)
+    return frame, vertex
 
 
 METHODS: Mapping[str, Blend] = {"dual_quaternion": dual_quaternion_blend, "linear": linear_blend}
