@@ -88,7 +88,9 @@ def dual_quaternion_blend(vertices: Tensor, indices: Tensor, weights: Tensor, tr
         frame, vertex = _meet(opposed, indices, weights, strongest, len(transforms))
         of, own = real[frame[:, None], indices[vertex]], real[frame, strongest[vertex, 0]]
         sign = torch.where((of * own[:, None]).sum(-1) < 0, -1.0, 1.0).to(weights.dtype)
-        blended[frame, vertex] = ((sign * weights[vertex])[..., None] * both[frame[:, None], indices[vertex]]).sum(1)
+        blended[frame, vertex] = (
+            (sign * weights[vertex])[..., None] * both[frame[:, None], indices[vertex]]
+        ).sum(1)
     unit, dual = (blended / blended[..., :4].norm(dim=-1, keepdim=True)).split(4, dim=-1)
     # 2 dual conjugate(real): the vector part is the translation, the scalar part is what the normalisation of
     # the dual part would take away.

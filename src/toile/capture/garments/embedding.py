@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import igl
 import numpy as np
 import torch
 from torch import Tensor
 
 from toile.capture.garments.garment import face_frames
+from toile.geometry.surface import nearest_points
 
 
 @dataclass(frozen=True)
@@ -36,13 +36,15 @@ def embed(points: Tensor, vertices: Tensor, faces: Tensor, allowed: Tensor | Non
         faces: (T, 3).
         allowed: mask (T,) of the faces to choose from, e.g. not those of the arms.
     """
+    if not len(points):
+        return Embedding(torch.empty(0, dtype=torch.int64), points.reshape(0, 3), points.reshape(0, 3))
     index = torch.arange(len(faces)) if allowed is None else allowed.nonzero().ravel()
-    _, nearest, closest = igl.point_mesh_squared_distance(
-        points.numpy(), vertices.numpy(), np.ascontiguousarray(faces[index].numpy())
-    )
-    chosen = index[torch.from_numpy(np.asarray(nearest, dtype=np.int64).ravel())]
-    corners = [np.ascontiguousarray(vertices[faces[chosen, corner]].numpy()) for corner in range(3)]
-    barycentric = torch.from_numpy(np.asarray(igl.barycentric_coordinates(closest, *corners)))
+    among = np.ascontiguousarray(faces[index].numpy())
+    nearest, _ = nearest_points(points.numpy(), vertices.numpy(), among)
+    # The point knows the corners of its face; its number is where these stand.
+    number = {tuple(face): k for k, face in enumerate(among.tolist())}
+    chosen = index[torch.tensor([number[tuple(face)] for face in nearest.faces.tolist()])]
+    barycentric = torch.from_numpy(np.asarray(nearest.weights, dtype=np.float64))
     base = (vertices[faces[chosen]] * barycentric[..., None]).sum(1)
     frames = face_frames(vertices, faces[chosen])
     offsets = (frames.mT @ (points - base)[..., None])[..., 0]

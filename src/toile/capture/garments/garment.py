@@ -29,7 +29,7 @@ class Material:
 
     young: Annotated[Positive, Unit("N/m")] = 500.0
     poisson: NonNegative = 0.3
-    bending: Annotated[NonNegative, Unit("J")] = 2e-5
+    bending: Annotated[NonNegative, Unit("J")] = 1e-5
     density: Annotated[Positive, Unit("kg/m²")] = 0.15
     friction: NonNegative = 0.3
 

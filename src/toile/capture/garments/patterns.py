@@ -289,8 +289,7 @@ def _strap(
     step = min(spacing, 0.05 / (columns - 1))
     tops = place - step * (np.arange(columns) - 0.5 * (columns - 1))
     chains = [
-        _over_shoulder(body, ring[f], ring[b], top, ease)
-        for f, b, top in zip(front, back, tops, strict=True)
+        _over_shoulder(body, ring[f], ring[b], top, ease) for f, b, top in zip(front, back, tops, strict=True)
     ]
     rows = max(4, round(np.mean([_along(chain)[-1] for chain in chains]) / spacing))
     shares = np.linspace(0.0, 1.0, rows + 1)[1:-1]

@@ -75,7 +75,9 @@ def clearance(
 
 def border_edges(faces: Indices) -> npt.NDArray[np.bool_]:
     """Whether the edge opposite to each corner belongs to one face only, (T, 3)."""
-    edges = np.sort(np.stack((faces[:, [1, 2]], faces[:, [2, 0]], faces[:, [0, 1]]), 1).reshape(-1, 2), axis=1)
+    edges = np.sort(
+        np.stack((faces[:, [1, 2]], faces[:, [2, 0]], faces[:, [0, 1]]), 1).reshape(-1, 2), axis=1
+    )
     _, inverse, count = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
     return np.asarray(count[inverse.ravel()] == 1).reshape(-1, 3)
 

@@ -119,7 +119,9 @@ def turn(track: Track, rng: np.random.Generator) -> None:
     _gait(track, track.time / period + 0.25, rng.uniform(0.3, 0.4))
     track.stands = False
     side, through = rng.choice((-1.0, 1.0)), rng.uniform(4.5, 6.0)
-    track.turn += side * np.deg2rad(rng.uniform(80, 120)) * 0.5 * (1 - np.cos(2 * np.pi * track.time / through))
+    track.turn += (
+        side * np.deg2rad(rng.uniform(80, 120)) * 0.5 * (1 - np.cos(2 * np.pi * track.time / through))
+    )
 
 
 def squat(track: Track, rng: np.random.Generator) -> None:
