@@ -1,7 +1,7 @@
 """A subject out of ``anny``, the parametric body model (Brégier et al. 2025; code Apache-2.0, data CC0).
 
 Only its own topology is used, never that of SMPL-X, whose data are for non-commercial use only. Making the
-model for the first time takes minutes and writes a cache of 0.8 GB, hence a subject is baked into a file once.
+model for the first time takes minutes and writes a cache of 0.8 GB: a subject is baked into a file once.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ def bake_anny(phenotype: Mapping[str, float]) -> Subject:
     """Bake one person, standing on the floor in the A-pose of the model.
 
     Args:
-        phenotype: gender (0 male, 1 female), age, muscle, weight, height, proportions, each from 0 to 1; those
-            not given are as in ``PHENOTYPE``.
+        phenotype: gender (0 male, 1 female), age, muscle, weight, height, proportions, each from 0 to 1;
+            those not given are as in ``PHENOTYPE``.
 
     Raises:
         InputError: ``anny`` is not installed, or a value it does not take.
@@ -69,7 +69,7 @@ def bake_anny(phenotype: Mapping[str, float]) -> Subject:
     joints = rest["rest_bone_poses"][0].double().clone()
     joints[:, :3] = _TO_WORLD @ joints[:, :3]
     joints[:, :3, 3] -= floor
-    indices, weights = _most_influential(model.vertex_bone_indices.long(), model.vertex_bone_weights.double())
+    indices, weights = most_influential(model.vertex_bone_indices.long(), model.vertex_bone_weights.double())
     names = tuple(model.bone_labels)
     parents = torch.tensor(model.bone_parents, dtype=torch.int64)
     regressor = anny.KeypointsRegressor.coco(model)
@@ -102,8 +102,8 @@ def body_parts(names: Sequence[str], parents: Tensor, indices: Tensor, weights: 
         weights: of these (V, K).
 
     Returns:
-        "arms", "left_arm", "right_arm", "left_leg", "right_leg", "head" and "torso", the rest; those whose joint
-        has no role are empty.
+        "arms", "left_arm", "right_arm", "left_leg", "right_leg", "head" and "torso", the rest; those
+        whose joint has no role are empty.
     """
     roles = humanoid_joints(names)
     strongest = indices.gather(1, weights.argmax(1, keepdim=True))[:, 0]
@@ -132,9 +132,9 @@ def sparse_landmarks(
 ) -> tuple[Tensor, Tensor]:
     """The same landmarks from few vertices.
 
-    Where linear blending puts a mean of vertices depends on four sums for each joint alone: that of the weights,
-    and of the weighted positions. Non-negative weights of few vertices that give the same sums give the same
-    landmark in every pose (Carathéodory: one vertex a sum is enough).
+    Where linear blending puts a mean of vertices depends on four sums for each joint alone: that of the
+    weights, and of the weighted positions. Non-negative weights of few vertices that give the same sums give
+    the same landmark in every pose (Carathéodory: one vertex a sum is enough).
 
     Args:
         regressor: dense weights (L, V), rows sum to 1.
@@ -161,7 +161,7 @@ def sparse_landmarks(
     return padded[0], padded[1]
 
 
-def _most_influential(indices: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
+def most_influential(indices: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
     """The nine strongest joints of each vertex, their weights made to sum to 1; padded by zeros."""
     kept = min(INFLUENCES, weights.shape[1])
     weights, order = weights.topk(kept, dim=1)

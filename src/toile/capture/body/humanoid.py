@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 
 ROLES: Mapping[str, tuple[str, ...]] = {
-    "hips": ("root", "hips", "hip", "pelvis"),
+    "hips": ("hips", "hip", "pelvis", "root"),
     "spine": ("spine05", "spine", "spine1", "lowerback", "abdomen", "torso"),
     "chest": ("spine03", "spine1", "spine2", "chest"),
     "upper_chest": ("spine01", "spine2", "spine3", "upperchest", "chest2"),
@@ -28,8 +28,8 @@ ROLES: Mapping[str, tuple[str, ...]] = {
     "left_foot": ("foot.l", "leftfoot", "lfoot", "foot_l", "leftankle"),
     "left_toes": ("toe1-1.l", "lefttoebase", "lefttoes", "lefttoe", "ball_l"),
 }
-"""Names of the left side and the middle, in MakeHuman's, Mixamo's and CMU's, DAZ's and Unreal's skeletons; those
-of the right side follow from them."""
+"""Names of the left side and the middle, in the skeletons of MakeHuman, Mixamo, CMU, DAZ and Unreal; those of
+the right side follow from them."""
 
 _SIDES = ((".l", ".r"), ("_l", "_r"), ("left", "right"))
 

@@ -16,10 +16,10 @@ from toile.capture.body.subject import Subject
 AXES = "XZY"
 """Order of the angles: intrinsic, about the world's x (to the left of the subject), z (forward), y (up)."""
 
-# Active range of motion of adults, in degrees, rounded: Norkin and White, Measurement of Joint Motion, 2016. Angles
-# about x are positive backward for what hangs down (legs) and forward for what stands up (spine, neck, head);
-# those about z are positive to the left for what hangs down: abduction of the left leg. Arms are limited in
-# total, because their three angles say little for a limb that stands off at rest.
+# Degrees, ours, after what textbooks of physiotherapy give for adults. Angles about x are positive backward
+# for what hangs down (legs) and forward for what stands up (spine, neck, head); those about z are positive to
+# the left for what hangs down: abduction of the left leg. Arms have wide limits, because the three angles say
+# little for a limb that stands off at rest.
 _DEGREES: Mapping[str, tuple[tuple[float, float], ...]] = {
     "spine": ((-20, 40), (-20, 20), (-25, 25)),
     "chest": ((-15, 30), (-15, 15), (-25, 25)),

@@ -92,10 +92,7 @@ class Subject:
         Raises:
             InputError: the file is missing, no subject, or its arrays do not fit together.
         """
-        required = ("rest_vertices", "faces", "joint_names", "parents", "rest_joints")
-        required += ("skinning_indices", "skinning_weights", "landmark_names", "landmark_indices")
-        required += ("landmark_weights", "part_names", "part_masks", "joint_limits")
-        arrays = read_arrays(path, "Subject", required)
+        arrays = read_arrays(path, "Subject", _STORED)
         floats = {
             name: torch.from_numpy(array.astype(np.float64))
             for name, array in arrays.items()
@@ -155,6 +152,23 @@ class Subject:
         return float(self.rest_vertices[:, 1].max() - self.rest_vertices[:, 1].min())
 
 
+_STORED = (
+    "rest_vertices",
+    "faces",
+    "joint_names",
+    "parents",
+    "rest_joints",
+    "skinning_indices",
+    "skinning_weights",
+    "landmark_names",
+    "landmark_indices",
+    "landmark_weights",
+    "part_names",
+    "part_masks",
+    "joint_limits",
+)
+
+
 def load_subject(name: str | Path = "default") -> Subject:
     """A subject that comes with the package by its name, or one from a file.
 
@@ -210,9 +224,9 @@ def _check(subject: Subject) -> None:
         ("skinning_weights", (v, INFLUENCES)),
         ("joint_limits", (j, 3, 2)),
     ):
-        got = tuple(getattr(subject, name).shape)
-        if got != shape:
-            raise wrong("Subject has an array of the wrong shape", name, str(shape), str(got))
+        of = tuple(getattr(subject, name).shape)
+        if of != shape:
+            raise wrong("Subject has an array of the wrong shape", name, str(shape), str(of))
     if not bool(torch.isfinite(subject.rest_vertices).all()):
         raise wrong(
             "Subject has positions that are not finite", "rest_vertices", "finite numbers", "nan or inf"
@@ -233,7 +247,8 @@ def _check(subject: Subject) -> None:
             "Subject has vertices that no joint moves", "skinning_weights", "weights at every vertex", got
         )
     if float(weights.min()) < 0 or float((weights.sum(1) - 1).abs().max()) > 1e-4:
-        got = f"least weight {float(weights.min()):g}, sums {float(weights.sum(1).min()):g} to {float(weights.sum(1).max()):g}"
+        low, high = float(weights.sum(1).min()), float(weights.sum(1).max())
+        got = f"least weight {float(weights.min()):g}, sums {low:g} to {high:g}"
         raise wrong("Skinning weights are no weights", "skinning_weights", "non-negative, rows sum to 1", got)
     if int(subject.parents[0]) != -1 or any(
         not 0 <= int(parent) < child for child, parent in enumerate(subject.parents[1:], start=1)

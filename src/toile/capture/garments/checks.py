@@ -125,8 +125,8 @@ def _start(garment: Garment, subject: Subject, where: str) -> Iterator[Finding]:
     if len(inside) or len(through) or measured.crossings:
         got = (
             f"{len(inside)} vertices up to {1000 * max(-measured.vertices.min(), 0.0):.1f} mm inside, "
-            f"{len(through)} vertices of the body up to {1000 * max(-measured.body.min(), 0.0):.1f} mm through "
-            f"the cloth, {measured.crossings} crossing edges"
+            f"{len(through)} vertices of the body up to {1000 * max(-measured.body.min(), 0.0):.1f} mm "
+            f"through the cloth, {measured.crossings} crossing edges"
         )
         yield Finding(
             Severity.ERROR,

@@ -244,7 +244,7 @@ class _Body:
             subject.faces_without("arms").numpy(),
             subject.faces_without(*apart).numpy(),
             # Half-way along the collar bone.
-            float(places.abs().mean()) if len(ends) else 0.055 * subject.height,
+            float(places.abs().mean()) if ends else 0.055 * subject.height,
         )
 
     def section(self, height: float) -> Floats:
@@ -372,8 +372,8 @@ def _fitted(
 ) -> Garment:
     """Build with the spacing that gives the number of vertices, and the ease that keeps off the body.
 
-    Chords of coarse rings cut into what they should go around: the ease around the trunk, or that of the straps
-    above ``upper``, is raised until there is room.
+    Chords of coarse rings cut into what they should go around: the ease around the trunk, or that of the
+    straps above ``upper``, is raised until there is room.
     """
     spacing = _spacing(lambda spacing: _count(build(spacing, ease, ease)), vertices)
     trunk = straps = ease

@@ -18,9 +18,9 @@ class Clearance:
 
     Attributes:
         vertices: signed distance of each garment vertex to the body (N,) [m], negative inside.
-        body: signed distance of the body's vertices to the garment, (V,) [m]: positive on the inner side of the
-            cloth, negative where a vertex has gone through a face, infinite farther than ``reach`` away or
-            beside the cloth.
+        body: signed distance of the body's vertices to the garment, (V,) [m]: positive on the inner side of
+            the cloth, negative where a vertex has gone through a face, infinite farther than ``reach`` away
+            or beside the cloth.
         crossings: pairs (edge of one mesh, face of the other) that intersect.
     """
 
@@ -62,8 +62,8 @@ def clearance(
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
     along = ((closest - body_vertices[used]) * normal).sum(1)
-    # Closest at the border: the vertex is beside the cloth, on neither side of it. At a ridge the face's normal
-    # says little.
+    # Closest at the border: the vertex is beside the cloth, on neither side of it. At a ridge the normal of
+    # the face says little.
     straight = np.abs(along) > 0.5 * np.sqrt(squared)
     inside = ~_on_border(garment_vertices, garment_faces, face, closest)
     seen = straight & inside & (squared < reach**2)
@@ -114,7 +114,13 @@ def crossing_edges(vertices: Floats, faces: Indices, others: Floats, other_faces
 
 
 def segments_cross_triangles(start: Floats, end: Floats, corners: Floats) -> np.ndarray:
-    """Whether each segment meets its triangle (Möller and Trumbore 1997); (P, 3), (P, 3), (P, 3, 3) -> (P,)."""
+    """Whether each segment meets its triangle (Möller and Trumbore 1997), (P,).
+
+    Args:
+        start: of the segments (P, 3).
+        end: (P, 3).
+        corners: of the triangles (P, 3, 3).
+    """
     direction = end - start
     a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     p = np.cross(direction, b)
