@@ -51,7 +51,12 @@ def slide(
 ) -> Array:
     """Positions (steps + 1, N, 3) of a free cloth on a body whose vertices are given for every step."""
     contact = BodyContact(
-        cloth.topology, cloth.masses.numpy(), np.zeros(0, np.int64), len(body(0)), faces, settings
+        cloth.topology,
+        cloth.masses.numpy(),
+        np.zeros(0, np.int64),
+        faces,
+        np.zeros(len(body(0)), np.bool_),
+        settings,
     )
     simulator = RenewingSimulator(cloth, H, BackwardEuler(), NewtonSettings(1e-6), passes=3)
     state = State.start(start[None], torch.zeros_like(start)[None], H, simulator.n_past)

@@ -15,7 +15,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from toile.geometry.moving_surface_kernels import nearest_places, ray_hits
+from toile.geometry.moving_surface_kernels import nearest_places, other_walls, ray_hits
 from toile.warp_runtime import start_warp, view
 
 Array = NDArray[np.float64]
@@ -41,6 +41,28 @@ class Nearest:
     points: Array
     normals: Array
     distances: Array
+
+    def some(self, kept: Indices) -> Nearest:
+        """Only those at the places ``kept`` (M',)."""
+        return Nearest(
+            self.which[kept],
+            self.faces[kept],
+            self.weights[kept],
+            self.points[kept],
+            self.normals[kept],
+            self.distances[kept],
+        )
+
+    def joined(self, other: Nearest, which: Indices) -> Nearest:
+        """With the points of another answer, whose numbers among those asked for are ``which``."""
+        return Nearest(
+            np.concatenate((self.which, which)),
+            np.concatenate((self.faces, other.faces)),
+            np.concatenate((self.weights, other.weights)),
+            np.concatenate((self.points, other.points)),
+            np.concatenate((self.normals, other.normals)),
+            np.concatenate((self.distances, other.distances)),
+        )
 
 
 class MovingSurface:
@@ -80,21 +102,41 @@ class MovingSurface:
 
     def nearest(self, points: Array, reach: float, *, signed: bool = True) -> Nearest:
         """Nearest points of (P, 3) [m] that are within ``reach`` [m]."""
+        return self._launch(nearest_places, points, [reach, signed])
+
+    def other_walls(
+        self, points: Array, walls: Array, directions: Array, reach: float, turned: float
+    ) -> Nearest:
+        """Nearest points (with a sign) on walls that make a crease with the nearest ones.
+
+        In a crease a point has more than one wall beside it.
+
+        Args:
+            points: (P, 3) [m].
+            walls: (P, 3) [m], nearest points.
+            directions: (P, 3) unit vectors, normals there.
+            reach: within which walls are looked for [m].
+            turned: cosine between direction and wall below which it is another one.
+        """
+        at, along = np.ascontiguousarray(walls - self._centre), np.ascontiguousarray(directions)
+        known = [view(at, wp.vec3d), view(along, wp.vec3d)]
+        return self._launch(other_walls, points, [*known, reach, turned])
+
+    def _launch(self, kernel: Any, points: Array, inputs: list[Any]) -> Nearest:
         n = len(points)
         asked = np.ascontiguousarray(points - self._centre)
         faces = np.empty(n, np.int32)
         weights, nearest, normals = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3))
         distances = np.empty(n)
         wp.launch(
-            nearest_places,
+            kernel,
             dim=n,
             inputs=[
                 self._mesh.id,
                 self._exact_view,
                 self._triangles_view,
                 view(asked, wp.vec3d),
-                reach,
-                signed,
+                *inputs,
                 view(faces, wp.int32),
                 view(weights, wp.vec3d),
                 view(nearest, wp.vec3d),

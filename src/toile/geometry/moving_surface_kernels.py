@@ -8,10 +8,13 @@ import warp as wp
 # Closer than this to the surface [m] the way to the nearest point is the face's normal.
 _CLOSE = 1.0e-7
 
+# How far behind each other two walls of a crease may be [m].
+_FLAT = 1.0e-3
+
 
 @wp.func
-def place_on_triangle(p: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
-    """Barycentric coordinates of a triangle's nearest point (Ericson, Real-Time Collision Detection, 5.1.5)."""
+def place_on_triangle(p: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):  # noqa: PLR0911
+    """Barycentric coordinates of the point nearest to p (Ericson, Real-Time Collision Detection, 5.1.5)."""
     zero = wp.float64(0.0)
     one = wp.float64(1.0)
     ab = b - a
@@ -94,6 +97,62 @@ def nearest_places(
     nearest[i] = on
     normals[i] = normal
     distances[i] = sign * length
+
+
+@wp.kernel(enable_backward=False)
+def other_walls(
+    mesh: wp.uint64,
+    vertices: wp.array(dtype=wp.vec3d),
+    triangles: wp.array(dtype=wp.int32, ndim=2),
+    points: wp.array(dtype=wp.vec3d),
+    walls: wp.array(dtype=wp.vec3d),
+    directions: wp.array(dtype=wp.vec3d),
+    reach: wp.float32,
+    turned: wp.float64,
+    faces: wp.array(dtype=wp.int32),
+    weights: wp.array(dtype=wp.vec3d),
+    nearest: wp.array(dtype=wp.vec3d),
+    normals: wp.array(dtype=wp.vec3d),
+    distances: wp.array(dtype=wp.float64),
+):
+    """As nearest_places, among faces that make a crease with a wall at a known place and of a known direction.
+
+    Their normal's product with the direction is below ``turned``; both walls lie before each other, or what is
+    found is the far side of something thin; and the way to the point runs along the normal, or the face is
+    seen across a ridge.
+    """
+    i = wp.tid()
+    p = points[i]
+    asked = wp.vec3f(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2]))
+    box = wp.vec3f(reach, reach, reach)
+    least = wp.float64(reach)
+    faces[i] = wp.int32(-1)
+    query = wp.mesh_query_aabb(mesh, asked - box, asked + box)
+    face = wp.int32(0)
+    while wp.mesh_query_aabb_next(query, face):
+        a = vertices[triangles[face, 0]]
+        b = vertices[triangles[face, 1]]
+        c = vertices[triangles[face, 2]]
+        normal = wp.normalize(wp.cross(b - a, c - a))
+        if wp.dot(normal, directions[i]) < turned:
+            w = place_on_triangle(p, a, b, c)
+            on = w[0] * a + w[1] * b + w[2] * c
+            away = p - on
+            length = wp.length(away)
+            across = wp.dot(away, normal)
+            between = on - walls[i]
+            crease = wp.dot(between, directions[i]) > wp.float64(-_FLAT)
+            crease = crease and wp.dot(between, normal) < wp.float64(_FLAT)
+            if crease and length < least and wp.abs(across) >= wp.float64(0.7) * length:
+                least = length
+                sign = wp.where(across < wp.float64(0.0), wp.float64(-1.0), wp.float64(1.0))
+                if length > wp.float64(_CLOSE):
+                    normal = away * (sign / length)
+                faces[i] = face
+                weights[i] = w
+                nearest[i] = on
+                normals[i] = normal
+                distances[i] = sign * length
 
 
 @wp.kernel(enable_backward=False)

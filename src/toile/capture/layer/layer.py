@@ -142,17 +142,13 @@ class SimulationLayer:
             membrane,
             flat=False,
         )
-        faces = body_faces.numpy()
-        self._n_body = int(faces.max()) + 1
-        if inactive is not None:
-            self._n_body = len(inactive)
-            faces = faces[~inactive.numpy()[faces].any(1)]
+        self._n_body = int(body_faces.max()) + 1 if inactive is None else len(inactive)
         self.contact = BodyContact(
             self.cloth.topology,
             self.cloth.masses.numpy(),
             garment.attached.numpy(),
-            self._n_body,
-            faces,
+            body_faces.numpy(),
+            np.zeros(self._n_body, np.bool_) if inactive is None else inactive.numpy(),
             self.settings.contact,
         )
         self._simulators: dict[float, RenewingSimulator] = {}

@@ -19,7 +19,7 @@ from torch import Tensor
 from toile.geometry.mesh import vertex_normals
 from toile.geometry.moving_surface import MovingSurface, Nearest
 from toile.limits import NonNegative, Positive
-from toile.physics.contact.planes import ContactPlanes, ContactPotential, ramp
+from toile.physics.contact.planes import ContactPlanes, ContactPotential, Penalty
 from toile.physics.implicit.linear_solvers.pattern import BlockPattern
 from toile.physics.implicit.renewed import RenewedPotential
 from toile.physics.topology import Topology
@@ -27,8 +27,12 @@ from toile.physics.topology import Topology
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
+# Rings of inactive faces around the active ones in which nearest points are looked for as well.
+_RINGS = 8
 # A cloth seen edge-on from a body vertex (sine of the angle) says nothing about which side that is on.
 _EDGE_ON = 0.3
+# Cosine between the normals of two walls below which they make a crease.
+_OTHER_WALL = 0.5
 # Share of its free vertices' weights below which a place on a face cannot be moved.
 _MOVABLE = 0.2
 # A nearest point is on the rim of the cloth if its weight opposite to the rim's edge is below this.
@@ -44,18 +48,22 @@ class ContactSettings:
         thickness: distance that vertices of the cloth keep from the body [m].
         body_thickness: distance that faces of the cloth keep from vertices of the body [m].
         smoothing: depth over which the force begins [m].
+        hardening: depth where the force is twice that of the parabola [m].
         sticking_speed: below this speed along the body the cloth sticks [m/s].
         reach: how far from the body contacts are looked for [m].
         body_reach: how far from the cloth vertices of the body are looked for [m].
+        crease_reach: how far from a vertex of the cloth a second wall of a crease is looked for [m].
     """
 
     stiffness: Positive = 6e5
     thickness: NonNegative = 0.003
     body_thickness: NonNegative = 0.001
     smoothing: Positive = 5e-4
+    hardening: Positive = 1e-3
     sticking_speed: Positive = 5e-3
     reach: Positive = 0.05
     body_reach: Positive = 0.02
+    crease_reach: Positive = 0.02
 
 
 class BodyContact:
@@ -65,8 +73,8 @@ class BodyContact:
         topology: of the cloth, N vertices.
         masses: of its vertices (N,) [kg].
         held: (n,) vertices whose motion is prescribed; they collide with nothing.
-        n_body: vertices of the body V.
-        body_faces: (T, 3) those that collide.
+        body_faces: (T, 3) of all the body.
+        inactive: (V,) bool, vertices of the body whose faces collide with nothing.
         settings: see ContactSettings.
     """
 
@@ -75,21 +83,28 @@ class BodyContact:
         topology: Topology,
         masses: Array,
         held: Indices,
-        n_body: int,
         body_faces: Indices,
+        inactive: NDArray[np.bool_],
         settings: ContactSettings,
     ) -> None:
         self.settings = settings
+        self.penalty = Penalty(settings.smoothing, settings.hardening)
         self.masses = masses
         self.free = np.ones(topology.n_vertices, np.bool_)
         self.free[held] = False
         self.loose = np.flatnonzero(self.free)
-        self.body = MovingSurface(n_body, body_faces)
+        # Some of what is inactive stays, so that the rest has no rim where sides can't be told.
+        near = ~inactive
+        for _ in range(_RINGS):
+            near[body_faces[near[body_faces].any(1)]] = True
+        kept = body_faces[near[body_faces].all(1)]
+        self.body = MovingSurface(len(inactive), kept)
+        self._acting = ~inactive[kept].any(1)
         faces = topology.faces.numpy()
         faces = faces[self.free[faces].any(1)]
         self.cloth = MovingSurface(topology.n_vertices, faces)
-        self._body_faces = torch.from_numpy(np.ascontiguousarray(body_faces))
-        self.active = np.unique(body_faces)
+        self._body_faces = torch.from_numpy(self.body.faces)
+        self.active = np.unique(kept[self._acting])
         self._rim = _rims(topology.n_vertices, topology.faces.numpy(), faces)
         self._kept: tuple[Array, Array] | None = None
 
@@ -118,17 +133,24 @@ class BodyContact:
         free = self.free[face]
         movable = (found.weights * free).sum(1) > _MOVABLE
         inside = ~self._on_rim(found)
-        kept = np.flatnonzero(aligned & movable & inside)
-        some = Nearest(
-            found.which[kept],
-            found.faces[kept],
-            found.weights[kept],
-            found.points[kept],
-            found.normals[kept],
-            found.distances[kept],
-        )
+        some = found.some(np.flatnonzero(aligned & movable & inside))
         gaps = np.einsum("mk,mk->m", some.points - points[some.which], normals[some.which])
         return some, gaps
+
+    def walls(self, points: Array) -> Nearest:
+        """Nearest points of the body, and in a crease of its other wall as well; ``body.move`` goes before."""
+        first = self.surface(points, self.settings.reach)
+        close = np.flatnonzero(first.distances < self.settings.crease_reach)
+        asked = first.which[close]
+        other = self.body.other_walls(
+            points[asked], first.points[close], first.normals[close], self.settings.crease_reach, _OTHER_WALL
+        )
+        return first.joined(other, asked[other.which])
+
+    def surface(self, points: Array, reach: float) -> Nearest:
+        """Nearest points (with a sign) of those whose nearest face collides; ``body.move`` goes before."""
+        found = self.body.nearest(points, reach)
+        return found.some(np.flatnonzero(self._acting[found.faces]))
 
     def _on_rim(self, found: Nearest) -> NDArray[np.bool_]:
         edges, corners = self._rim
@@ -181,7 +203,7 @@ class StepContact(RenewedPotential):
         """See RenewedPotential."""
         contact, settings = self._contact, self._contact.settings
         contact.body.move(self._next)
-        found = contact.body.nearest(x[contact.loose], settings.reach)
+        found = contact.walls(x[contact.loose])
         offsets = np.einsum("ck,ck->c", found.normals, found.points) + settings.thickness
         contact.cloth.move(x)
         points = self._next[self._candidates]
@@ -213,7 +235,7 @@ class StepContact(RenewedPotential):
         single = planes.weights[:, 0] == 1.0
         vertex = planes.vertices[single, 0]
         moved = x.copy()
-        moved[vertex] += planes.depths(x)[single].clip(min=0.0)[:, None] * planes.normals[single]
+        np.add.at(moved, vertex, planes.depths(x)[single].clip(min=0.0)[:, None] * planes.normals[single])
         return moved
 
     def _near(self, x: Array) -> Indices:
@@ -232,7 +254,7 @@ class StepContact(RenewedPotential):
         """Planes of where the step begins, carried along with the body to its end."""
         contact, settings = self._contact, self._contact.settings
         contact.body.move(self._body)
-        found = contact.body.nearest(self._x[contact.loose], settings.reach)
+        found = contact.walls(self._x[contact.loose])
         corners = contact.body.faces[found.faces]
         turn = _frames(self._next[corners]) @ _frames(self._body[corners]).transpose(0, 2, 1)
         normals = np.einsum("cij,cj->ci", turn, found.normals)
@@ -279,15 +301,13 @@ class StepContact(RenewedPotential):
             normals=np.concatenate((normals, body_normals)),
             offsets=np.concatenate((offsets, body_offsets)),
             stiffness=stiffness,
-            normal_forces=stiffness * ramp(lacking, settings.smoothing)[1],
+            normal_forces=stiffness * contact.penalty.slope(lacking),
             drags=np.concatenate((drags, self._next[own] - self._body[own])),
         )
 
     def _freeze(self, planes: ContactPlanes) -> None:
         friction = float(torch.as_tensor(self._friction).detach())
-        self.potential = ContactPotential(
-            planes, self._x, friction, self._contact.settings.smoothing, self._sticking
-        )
+        self.potential = ContactPotential(planes, self._x, friction, self._contact.penalty, self._sticking)
 
 
 def _frames(corners: Array) -> Array:

@@ -5,7 +5,7 @@ unit normal n, which it is to keep the thickness from. With d = offset - n·y, h
 
     U = k φ(d) + μ λ f(|u|),
 
-φ a parabola that begins smoothly, λ the normal force of the solve before, u the displacement over the step
+φ a parabola that begins smoothly and hardens (see Penalty), λ the normal force of the solve before, u the displacement over the step
 relative to the surface and along it, and f(s) = s beyond the displacement ε, smooth below: the dissipative
 potential of Li, Ferguson, Schneider, Langlois, Zorin, Panozzo, Jiang and Kaufman, Incremental Potential
 Contact, ACM Transactions on Graphics 39(4), 2020. A point that sticks creeps slower than ε / h.
@@ -72,16 +72,16 @@ class ContactPotential(StepPotential):
         planes: see ContactPlanes.
         positions: x_n (N, 3) [m], where the step begins.
         friction: μ.
-        smoothing: depth over which the force begins [m].
+        penalty: φ.
         sticking: ε [m].
     """
 
     def __init__(
-        self, planes: ContactPlanes, positions: Array, friction: float, smoothing: float, sticking: float
+        self, planes: ContactPlanes, positions: Array, friction: float, penalty: Penalty, sticking: float
     ) -> None:
         self.planes = planes
         self.friction = friction
-        self._smoothing, self._sticking = smoothing, sticking
+        self._penalty, self._sticking = penalty, sticking
         c, n = len(planes.offsets), len(positions)
         starts = np.arange(0, 3 * c + 1, 3)
         # Of a single vertex the entries are 1, 0, 0 at the same place; they add up.
@@ -94,7 +94,7 @@ class ContactPotential(StepPotential):
         """See StepPotential."""
         y = self._weights @ x
         d = self._depths(y)
-        total = float(self.planes.stiffness @ ramp(d, self._smoothing)[0])
+        total = float(self.planes.stiffness @ self._penalty.value(d))
         if self.friction > 0.0:
             s = np.sqrt(np.square(self._slides(y)).sum(1))
             total += self.friction * float(self.planes.normal_forces @ slip_potential(s, self._sticking))
@@ -114,14 +114,14 @@ class ContactPotential(StepPotential):
 
     def normal_forces(self, x: Array) -> Array:
         """Normal forces k φ'(d) (C,) [N] of every contact at x."""
-        forces: Array = self.planes.stiffness * ramp(self.planes.depths(x), self._smoothing)[1]
+        forces: Array = self.planes.stiffness * self._penalty.slope(self.planes.depths(x))
         return forces
 
     def add_hessian(self, blocks: Array, pattern: BlockPattern, x: Array, *, convex: bool) -> None:
         """See StepPotential; it has no indefinite part."""
         planes = self.planes
         y = self._weights @ x
-        curvature = planes.stiffness * ramp(self._depths(y), self._smoothing)[2]
+        curvature = planes.stiffness * self._penalty.curvature(self._depths(y))
         acting = curvature > 0.0
         if self.friction > 0.0:
             acting |= planes.normal_forces > 0.0
@@ -187,12 +187,42 @@ class ContactPotential(StepPotential):
         return slides
 
 
-def ramp(d: Array, width: float) -> tuple[Array, Array, Array]:
-    """φ(d) = ½ (d - w/2)² + w²/24 beyond the width w, a cubic that joins it smoothly below; and φ', φ''."""
-    rising = d.clip(0.0, width)
-    beyond = (d - width).clip(min=0.0)
-    value = rising**3 / (6 * width) + 0.5 * width * beyond + 0.5 * beyond**2
-    return value, 0.5 * rising**2 / width + beyond, rising / width
+@dataclass(frozen=True)
+class Penalty:
+    """φ(d) = ½ (d - w/2)² + w²/24 + ¼ d⁴/s² beyond the depth w; a cubic joins the parabola smoothly below.
+
+    Attributes:
+        smoothing: w, depth over which the force begins [m].
+        hardening: s, depth where the force is twice that of the parabola [m]: a cloth under tension presses
+            far harder than its weight.
+    """
+
+    smoothing: float
+    hardening: float
+
+    def value(self, d: Array) -> Array:
+        """φ (C,) [m²]."""
+        w = self.smoothing
+        below, beyond = d.clip(0.0, w), (d - w).clip(min=0.0)
+        q = np.square(d.clip(min=0.0))
+        value: Array = (
+            below**2 * below / (6 * w) + 0.5 * beyond * (w + beyond) + q * q / (4 * self.hardening**2)
+        )
+        return value
+
+    def slope(self, d: Array) -> Array:
+        """φ' (C,) [m]."""
+        w = self.smoothing
+        below, beyond = d.clip(0.0, w), (d - w).clip(min=0.0)
+        up = d.clip(min=0.0)
+        slope: Array = 0.5 * below * below / w + beyond + up * up * up / self.hardening**2
+        return slope
+
+    def curvature(self, d: Array) -> Array:
+        """φ'' (C,)."""
+        up = d.clip(min=0.0)
+        curvature: Array = d.clip(0.0, self.smoothing) / self.smoothing + 3 * up * up / self.hardening**2
+        return curvature
 
 
 def slip_potential(s: Array, limit: float) -> Array:
