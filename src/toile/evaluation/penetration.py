@@ -106,7 +106,7 @@ def penetration(
     free = np.ones(cloth.shape[1], np.bool_)
     if held is not None:
         free[held] = False
-    passive_faces = passive[body_faces].any(1)
+    passive_faces: Mask = np.asarray(passive[body_faces].any(1))
     looked_at = np.ascontiguousarray(cloth_faces[free[cloth_faces].any(1)])
     rim = _rim_edges(cloth_faces, looked_at)
     depths = np.full(cloth.shape[:2], np.nan)
@@ -115,7 +115,7 @@ def penetration(
     for f, (x, b) in enumerate(zip(cloth, body, strict=True)):
         near = _near(b, x, passive)
         squared, faces, places = igl.point_mesh_squared_distance(b[near], x, looked_at)
-        chosen = np.flatnonzero(np.asarray(squared) < REACH**2)
+        chosen = np.flatnonzero(squared < REACH**2)
         chosen = chosen[~_on_rim(places[chosen], x[looked_at[faces[chosen]]], rim[faces[chosen]])]
         asked = np.concatenate((x[free], places[chosen]))
         signed, nearest, _, _ = igl.signed_distance(
