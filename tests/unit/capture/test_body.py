@@ -74,7 +74,8 @@ def test_elbow_by_hand(method: str) -> None:
 
 
 def test_half_and_half_by_hand() -> None:
-    """At x = 1.5 the lower bone has weight 3/4: the mean of both images, and the rotation whose half angle has the tangent 3/4 sin 45° / (1/4 + 3/4 cos 45°)."""
+    """At x = 1.5 the lower bone has weight 3/4: the mean of both images, and the
+    rotation whose half angle has the tangent 3/4 sin 45° / (1/4 + 3/4 cos 45°)."""
     subject = arm()
     poses = turned(subject, torch.eye(3, dtype=torch.float64), about("Z", 90))
     at = int((subject.rest_vertices - torch.tensor([1.5, 0.0, 0.1]).double()).norm(dim=1).argmin())
@@ -117,7 +118,7 @@ def test_twisted_tube_keeps_its_volume_under_dual_quaternions() -> None:
 
 
 def test_quaternions_of_opposite_sign_are_blended_the_short_way() -> None:
-    """Beyond 180° the quaternion of one bone changes sign: the blend of 170° and 190° is 180° all the same."""
+    """Beyond 180° a quaternion changes sign: the blend of 170° and 190° is 180° all the same."""
     subject = arm()
     poses = turned(subject, about("X", 170), about("X", 20))
     at = (subject.rest_vertices[:, 0] - 1).abs() < 1e-9

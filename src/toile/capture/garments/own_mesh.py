@@ -8,6 +8,7 @@ from typing import Annotated
 
 import numpy as np
 import torch
+from scipy.spatial import cKDTree
 
 from toile.capture.body.subject import Subject
 from toile.capture.garments.checks import check_garment
@@ -15,7 +16,7 @@ from toile.capture.garments.embedding import embed
 from toile.capture.garments.garment import Garment, Material
 from toile.errors import InputError
 from toile.geometry.io import read_mesh
-from toile.geometry.surface import nearest_points, triangle_mesh
+from toile.geometry.surface import TriangleMesh, nearest_points, triangle_mesh
 from toile.limits import NonNegative, Positive, Unit
 from toile.scenes.findings import require
 
@@ -78,7 +79,7 @@ def own_garment(
             expected=f"0 to {len(polygons.vertices) - 1}",
             got=f"{min(attached)} to {max(attached)}",
         )
-    mesh = triangle_mesh(polygons, str(file))
+    mesh = _in_order_of_file(polygons.vertices.numpy(), triangle_mesh(polygons, str(file)))
     vertices, faces = scale * mesh.vertices, _outward(subject, scale * mesh.vertices, mesh.faces)
     if attached is None:
         held = np.flatnonzero(vertices[:, 1] >= vertices[:, 1].max() - band) if band > 0 else np.empty(0, int)
@@ -100,6 +101,15 @@ def own_garment(
         material=material or Material(),
         name=Path(file).stem,
     )
+
+
+def _in_order_of_file(stored: np.ndarray, mesh: TriangleMesh) -> TriangleMesh:
+    """The same mesh with its vertices in the order in which the file has them first."""
+    _, first = cKDTree(stored).query(mesh.vertices)
+    order = np.argsort(first, kind="stable")
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    return TriangleMesh(mesh.vertices[order], rank[mesh.faces])
 
 
 def _outward(subject: Subject, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

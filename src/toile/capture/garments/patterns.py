@@ -24,6 +24,7 @@ from toile.capture.garments.sections import (
     length_of,
     outline,
     plane_section,
+    section_support,
 )
 from toile.capture.garments.tube import Tube, tube
 from toile.errors import InputError
@@ -169,7 +170,7 @@ def make_dress(
 
     @cache
     def outlines(distance: float) -> list[Floats]:
-        close = [grown(body.section(height), distance) for height in upper]
+        close = [outline(body.section(height) + distance) for height in upper]
         return close + _widening(body, lower, distance, flare)
 
     def build(spacing: float, distance: float, over: float) -> _Mesh:
@@ -203,7 +204,7 @@ def waist_height(subject: Subject) -> float:
     low, high = (float(subject.rest_joints[roles[role], 1, 3]) for role in ("hips", "neck"))
     body = _Body.of(subject)
     heights = np.arange(low, low + 0.6 * (high - low), LEVEL)
-    return float(heights[int(np.argmin([length_of(body.section(height)) for height in heights]))])
+    return float(heights[int(np.argmin([length_of(outline(body.section(height))) for height in heights]))])
 
 
 def armpit_height(subject: Subject) -> float:
@@ -248,18 +249,20 @@ class _Body:
         )
 
     def section(self, height: float) -> Floats:
+        """Support function at a height, (D,)."""
         key = round(float(height), 6)
         if key not in self._sections:
-            self._sections[key] = outline(self.vertices, self.faces, height, 0.0)
+            self._sections[key] = section_support(self.vertices, self.faces, height)
         return self._sections[key]
 
 
 def _widening(body: _Body, levels: Floats, ease: float, flare: float) -> list[Floats]:
     """Outlines that hold those above, widened by the flare, and the body."""
-    found = [grown(body.section(levels[0]), ease)]
+    support = body.section(levels[0]) + ease
+    found = [outline(support)]
     for height in levels[1:]:
-        around = grown(body.section(height), ease)
-        found.append(hull(np.concatenate((grown(found[-1], flare * LEVEL), around))))
+        support = np.maximum(support + flare * LEVEL, body.section(height) + ease)
+        found.append(outline(support))
     return found
 
 
@@ -306,7 +309,7 @@ def _strap(
     a, b, c, d = grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]
     faces = np.stack((np.stack((a, c, b), -1), np.stack((a, d, c), -1)), 2).reshape(-1, 3)
     # Fixed are the rows on top of the shoulder, two at least: one would let the strap turn about itself.
-    top = float(shares[int(np.argmax(points[:, :, 1].mean(0)))])
+    top = float(shares[int(np.argmax(points[:, 1].mean(0)))])
     held = np.flatnonzero(np.abs(shares - top) <= max(0.05, 1.01 / rows))
     return _Mesh(points.transpose(2, 0, 1).reshape(-1, 3), faces, grid[1:-1][held].ravel())
 

@@ -11,7 +11,10 @@ from toile.errors import InputError
 Floats = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
-_CIRCLE = np.stack([f(np.linspace(0, 2 * np.pi, 64, endpoint=False)) for f in (np.cos, np.sin)], 1)
+_ANGLES = np.linspace(0, 2 * np.pi, 192, endpoint=False)
+
+DIRECTIONS: Floats = np.stack((np.cos(_ANGLES), np.sin(_ANGLES)), 1)
+"""In which support functions are known, (D, 2) in (x, z), counter-clockwise."""
 
 
 def plane_section(vertices: Floats, faces: Indices, normal: Floats, offset: float) -> Floats:
@@ -41,17 +44,19 @@ def plane_section(vertices: Floats, faces: Indices, normal: Floats, offset: floa
     return points[~np.isnan(points[..., 0])].reshape(-1, 2, 3)
 
 
-def outline(vertices: Floats, faces: Indices, height: float, ease: float) -> Floats:
-    """Convex outline, in (x, z), of a horizontal section, at a distance from it.
+def section_support(vertices: Floats, faces: Indices, height: float) -> Floats:
+    """Support function of a horizontal section: how far it reaches in each of ``DIRECTIONS``.
+
+    The support function of a convex hull is that of its points; of the hull of two sets it is the larger one,
+    and of what lies within a distance of a set it is larger by the distance.
 
     Args:
         vertices: (V, 3) [m].
         faces: (T, 3).
         height: y of the section [m].
-        ease: distance of the outline from the convex hull of the section [m].
 
     Returns:
-        (P, 2) [m], counter-clockwise in (x, z).
+        (D,) [m].
 
     Raises:
         InputError: the plane misses the mesh.
@@ -64,7 +69,20 @@ def outline(vertices: Floats, faces: Indices, height: float, ease: float) -> Flo
             expected=f"heights from {vertices[:, 1].min():.2f} to {vertices[:, 1].max():.2f} m",
             got=f"{height:.2f} m",
         )
-    return grown(hull(points), ease)
+    return np.asarray((points @ DIRECTIONS.T).max(0), dtype=np.float64)
+
+
+def outline(support: Floats) -> Floats:
+    """Convex outline of a support function: corners (D, 2) in (x, z), counter-clockwise.
+
+    Each corner is where the supporting lines of two successive directions meet, so that the outline lies
+    around the set, by 0.1 mm at most for a skirt.
+    """
+    n, m = DIRECTIONS, np.roll(DIRECTIONS, -1, 0)
+    h, k = support, np.roll(support, -1)
+    determinant = n[:, 0] * m[:, 1] - n[:, 1] * m[:, 0]
+    x, z = (h * m[:, 1] - k * n[:, 1]) / determinant, (k * n[:, 0] - h * m[:, 0]) / determinant
+    return np.stack((x, z), 1)
 
 
 def hull(points: Floats) -> Floats:
@@ -74,7 +92,7 @@ def hull(points: Floats) -> Floats:
 
 def grown(points: Floats, distance: float) -> Floats:
     """Convex hull of discs of a radius around points: the outline at that distance."""
-    return points if distance <= 0 else hull((points[:, None] + distance * _CIRCLE).reshape(-1, 2))
+    return points if distance <= 0 else hull((points[:, None] + distance * DIRECTIONS[::3]).reshape(-1, 2))
 
 
 def length_of(polygon: Floats) -> float:
