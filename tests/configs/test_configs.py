@@ -25,6 +25,7 @@ DELTAS = (
     "preset",
     "experiment",
     "debug",
+    "fabric",
     "diagnosis=quick",
     "diagnosis=fine",
     "blind=tiny",
@@ -51,6 +52,8 @@ def overrides(option: str) -> list[str]:
     match group.split("/"):
         case ["windows"]:
             return [f"windows@optimization.stages.track.windows={name}"]
+        case ["fabric"]:
+            return [f"fabric@garment.material={name}"]
         case ["simulator", "gradient"]:
             return ["simulator=surrogate", option]
         case ["ablation_of", optimization]:

@@ -6,7 +6,8 @@ model for the first time takes minutes and writes a cache of 0.8 GB: a subject i
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -18,30 +19,46 @@ from toile.capture.body.humanoid import humanoid_joints
 from toile.capture.body.limits import human_limits
 from toile.capture.body.subject import INFLUENCES, Subject
 from toile.errors import InputError
-
-PHENOTYPE: Mapping[str, float] = {
-    "gender": 1.0,
-    "age": 0.67,
-    "muscle": 0.5,
-    "weight": 0.4,
-    "height": 0.5,
-    "proportions": 0.7,
-}
-"""Of the shipped subject, each from 0 to 1."""
+from toile.limits import Fraction
+from toile.warp_runtime import start_warp
 
 # From anny's axes (z up, facing −y) to ours (y up, facing +z); the left side is +x in both.
 _TO_WORLD = torch.tensor([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]], dtype=torch.float64)
 
 
-def bake_anny(phenotype: Mapping[str, float]) -> Subject:
+@dataclass(frozen=True)
+class AnnyBody:
+    """One person of the model; the defaults are the subject that comes with the package.
+
+    Attributes:
+        gender: 0 male, 1 female.
+        age: 0 a baby, 1/3 a child, 2/3 a young adult, 1 old.
+        muscle: 0 to 1.
+        weight: 0 to 1.
+        height: 0 to 1.
+        proportions: 0 to 1, ideal.
+    """
+
+    gender: Fraction = 1.0
+    age: Fraction = 0.67
+    muscle: Fraction = 0.5
+    weight: Fraction = 0.4
+    height: Fraction = 0.5
+    proportions: Fraction = 0.7
+
+    def make(self) -> Subject:
+        """Bake it; see ``bake_anny``."""
+        return bake_anny(self)
+
+
+def bake_anny(person: AnnyBody) -> Subject:
     """Bake one person, standing on the floor in the A-pose of the model.
 
     Args:
-        phenotype: gender (0 male, 1 female), age, muscle, weight, height, proportions, each from 0 to 1;
-            those not given are as in ``PHENOTYPE``.
+        person: its phenotype.
 
     Raises:
-        InputError: ``anny`` is not installed, or a value it does not take.
+        InputError: ``anny`` is not installed.
     """
     try:
         import anny
@@ -52,18 +69,11 @@ def bake_anny(phenotype: Mapping[str, float]) -> Subject:
             expected="pip install 'toile[subjects]'",
             got=str(error),
         ) from error
-    values = {**PHENOTYPE, **phenotype}
-    wrong = {k: v for k, v in values.items() if k not in PHENOTYPE or not 0 <= float(v) <= 1}
-    if wrong:
-        raise InputError(
-            "Phenotype is out of range",
-            where="phenotype",
-            expected=f"{', '.join(PHENOTYPE)}, each from 0 to 1",
-            got=", ".join(f"{k}={v}" for k, v in wrong.items()),
-        )
+    # anny starts Warp with its banner where it is not running.
+    start_warp()
     model: Any = anny.Anny()
     with torch.no_grad():
-        rest = model(phenotype_kwargs={k: float(v) for k, v in values.items()})
+        rest = model(phenotype_kwargs=asdict(person))
     vertices = rest["rest_vertices"][0].double() @ _TO_WORLD.T
     floor = torch.tensor([0.0, float(vertices[:, 1].min()), 0.0], dtype=torch.float64)
     joints = rest["rest_bone_poses"][0].double().clone()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,22 @@ LANDMARKS = {
     "right_ankle": "right_foot",
 }
 """COCO's key points that are joints, and the roles of these."""
+
+
+@dataclass(frozen=True)
+class GltfBody:
+    """A person in a skinned glTF file.
+
+    Attributes:
+        file: .glb or .gltf, y up, metres, facing +z.
+    """
+
+    file: str
+
+    def make(self) -> Subject:
+        """Read it; see ``subject_from_gltf``."""
+        return subject_from_gltf(self.file)
+
 
 # Vertices a landmark is made of at most, and how close a joint has to be to their hull.
 _LANDMARK_VERTICES = 64

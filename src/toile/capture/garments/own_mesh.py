@@ -17,7 +17,7 @@ from toile.capture.garments.garment import Garment, Material
 from toile.errors import InputError
 from toile.geometry.io import read_mesh
 from toile.geometry.surface import TriangleMesh, nearest_points, triangle_mesh
-from toile.limits import NonNegative, Positive, Unit
+from toile.limits import CountOrZero, NonNegative, Positive, Unit
 from toile.scenes.findings import require
 
 
@@ -35,7 +35,7 @@ class OwnMesh:
 
     file: str
     scale: Positive = 1.0
-    attached: tuple[int, ...] | None = None
+    attached: tuple[CountOrZero, ...] | None = None
     band: Annotated[NonNegative, Unit("m")] = 0.02
     material: Material = field(default_factory=Material)
 

@@ -28,7 +28,7 @@ from toile.capture.garments.sections import (
 )
 from toile.capture.garments.tube import Tube, tube
 from toile.errors import InputError
-from toile.limits import NonNegative, Positive, Unit
+from toile.limits import Count, NonNegative, Positive, Unit
 
 LEVEL = 0.005
 """Distance of the sections that a garment is made from [m]."""
@@ -52,11 +52,11 @@ class SkirtPattern:
         material: what it is made of.
     """
 
-    vertices: Annotated[float, Positive] = 960
+    vertices: Count = 960
     length: Annotated[Positive, Unit("m")] = 0.55
     ease: Annotated[Positive, Unit("m")] = 0.01
     flare: NonNegative = 0.35
-    waist: float | None = None
+    waist: Annotated[Positive, Unit("m")] | None = None
     waistband: Annotated[NonNegative, Unit("m")] = 0.02
     material: Material = field(default_factory=Material)
 
@@ -78,7 +78,7 @@ class DressPattern:
         material: what it is made of.
     """
 
-    vertices: Annotated[float, Positive] = 1500
+    vertices: Count = 1500
     length: Annotated[Positive, Unit("m")] = 0.6
     ease: Annotated[Positive, Unit("m")] = 0.01
     flare: NonNegative = 0.3

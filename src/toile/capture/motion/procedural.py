@@ -27,9 +27,9 @@ SETTLE = 0.5
 
 SIDES = (("left", 1.0), ("right", -1.0))
 
-# Joint angles over a stride that begins with the heel's strike, in degrees; the numbers are ours, the shape of
-# the curves is that of normal gait (Winter, Biomechanics and Motor Control of Human Movement): share of the
-# stride, flexion of hip and knee, plantar flexion.
+# Joint angles over a stride that begins with the heel's strike, in degrees; the numbers are ours, the shape
+# of the curves is that of normal gait (Winter, Biomechanics and Motor Control of Human Movement): share of
+# the stride, flexion of hip and knee, plantar flexion.
 _HIP = ((0.0, 26), (0.12, 22), (0.5, -9), (0.62, 0), (0.85, 28), (1.0, 26))
 _KNEE = ((0.0, 5), (0.14, 17), (0.4, 6), (0.6, 36), (0.72, 56), (0.9, 12), (1.0, 5))
 _ANKLE = ((0.0, 0), (0.08, 5), (0.42, -9), (0.62, 16), (0.8, -1), (1.0, 0))
