@@ -66,7 +66,7 @@ def read_gltf_motion(path: Path | str, fps: float, animation: int = 0) -> Skelet
         tuple(order.index(parents[node]) if parents[node] in order else -1 for node in order),
         torch.from_numpy(still[order, :3, 3].copy()),
         torch.from_numpy(np.ascontiguousarray(turns)),
-        torch.from_numpy(posed[:, order, :3, 3].copy()),
+        torch.from_numpy(posed[:, order][..., :3, 3].copy()),
         fps,
         str(path),
     )
