@@ -1,7 +1,7 @@
 """Warp kernels of the questions to a moving surface."""
 
 # Kernels are Python in syntax only: arrays and numbers follow Warp's own typing rules.
-# mypy: disable-error-code="attr-defined, no-untyped-def, operator, valid-type"
+# mypy: disable-error-code="arg-type, attr-defined, no-untyped-def, operator, valid-type"
 
 import warp as wp
 

@@ -19,14 +19,15 @@ from torch import Tensor
 
 from toile.capture.body.subject import Subject
 from toile.capture.garments.garment import Garment, attached_targets
+from toile.capture.layer.silhouette import SilhouettePotential, SilhouetteRays
 from toile.errors import InputError
 from toile.limits import Count, Positive
 from toile.physics.cloth import mesh_cloth
-from toile.physics.contact.body import BodyContact, ContactSettings
+from toile.physics.contact.body import BodyContact, ContactSettings, FrozenContact
 from toile.physics.energies.membrane import Membrane, NeoHookean
 from toile.physics.implicit.integrators import BackwardEuler
 from toile.physics.implicit.newton import NewtonSettings
-from toile.physics.implicit.renewed import RenewingSimulator
+from toile.physics.implicit.renewed import RenewedPotential, RenewedSum, RenewingSimulator
 from toile.physics.material import Material
 from toile.physics.simulator import StepStatus
 from toile.physics.state import State
@@ -48,6 +49,8 @@ class LayerSettings:
         max_iterations: Newton iterations of a pass.
         passes: solves per step, the contacts renewed in between.
         contact: see ContactSettings.
+        silhouette_weight: of one pixel in Eq. 1 [N/m].
+        silhouette_reach: pixels farther than this from the cloth count for nothing [m].
     """
 
     tolerance: Positive = 1e-3
@@ -55,6 +58,8 @@ class LayerSettings:
     max_iterations: Count = 60
     passes: Count = 3
     contact: ContactSettings = field(default_factory=ContactSettings)
+    silhouette_weight: Positive = 1.0
+    silhouette_reach: Positive = 0.1
 
 
 @dataclass(frozen=True)
@@ -68,6 +73,7 @@ class LayerStep:
         newton_steps: Newton iterations of all passes together.
         contacts: number of contacts that push at the end, cloth vertices and body vertices.
         residual: largest out-of-balance force on a vertex [N].
+        contact: what touched, as it was in the last solve.
     """
 
     positions: Tensor
@@ -76,6 +82,7 @@ class LayerStep:
     newton_steps: int
     contacts: int
     residual: float
+    contact: FrozenContact
 
 
 @dataclass(frozen=True)
@@ -89,6 +96,7 @@ class Motion:
         residuals: largest out-of-balance force (F - 1, substeps) [N].
         kinetic, elastic, gravitational: energies at the frames (F,) [J].
         seconds: wall time (F - 1,) [s] of each frame.
+        velocities: at the last frame (N, 3) [m/s]; with its positions the motion goes on from there.
     """
 
     garment_positions: Array
@@ -99,6 +107,7 @@ class Motion:
     elastic: Array
     gravitational: Array
     seconds: Array
+    velocities: Array
 
 
 class SimulationLayer:
@@ -183,6 +192,8 @@ class SimulationLayer:
         material: Material | None = None,
         friction: float | Tensor | None = None,
         attached: Tensor | None = None,
+        silhouettes: Sequence[SilhouetteRays] = (),
+        contact: FrozenContact | None = None,
     ) -> LayerStep:
         """One step of implicit Euler.
 
@@ -198,26 +209,38 @@ class SimulationLayer:
             material: stiffnesses, a batch of one; the garment's if None.
             friction: μ; the garment's if None.
             attached: attached vertices at the end (A, 3) [m]; where the body takes them if None.
+            silhouettes: of the step's end, one per view, for Eq. 1.
+            contact: of an earlier step with the same bodies, taken as given; found anew if None.
         """
-        contact = self.contact.begin(
-            positions.detach().numpy(),
-            body.numpy(),
-            next_body.numpy(),
-            self.garment.material.friction if friction is None else friction,
-            time_step,
-        )
+        if friction is None:
+            friction = self.garment.material.friction
+        begin = positions.detach().numpy()
+        if contact is None:
+            contact = self.contact.begin(begin, body.numpy(), next_body.numpy(), friction, time_step)
+        else:
+            contact = contact.again(begin, friction)
         if attached is None:
             attached = attached_targets(self.garment, next_body, self.body_faces)
         simulator = self._simulator(time_step)
         state = State.start(positions[None], velocities[None], time_step, simulator.n_past)
-        predicted = (positions + time_step * velocities).detach().numpy()
+        guess = contact.outside((positions + time_step * velocities).detach().numpy())
+        potential: RenewedPotential = contact
+        if silhouettes:
+            drawn = SilhouettePotential(
+                self.cloth.topology,
+                silhouettes,
+                self.settings.silhouette_weight,
+                self.settings.silhouette_reach,
+                guess,
+            )
+            potential = RenewedSum((contact, drawn))
         result = simulator.step_with(
-            [contact],
+            [potential],
             state,
             self.material if material is None else material,
             self._gravity[None],
             attached[None],
-            torch.from_numpy(contact.outside(predicted))[None],
+            torch.from_numpy(guess)[None],
         )
         found = result.state.positions[0]
         return LayerStep(
@@ -227,7 +250,23 @@ class SimulationLayer:
             newton_steps=result.iterations[0],
             contacts=contact.pushing(found.detach().numpy()),
             residual=result.residual[0],
+            contact=contact,
         )
+
+    def step_batch(
+        self, positions: Tensor, velocities: Tensor, bodies: Tensor, next_bodies: Tensor, time_step: float
+    ) -> list[LayerStep]:
+        """Steps of B windows, one after the other: the same digits as each alone.
+
+        The pattern of the factorisation is analysed once for all; nothing else could be shared.
+
+        Args:
+            positions, velocities: (B, N, 3), see ``step``.
+            bodies, next_bodies: (B, V, 3).
+            time_step: h [s].
+        """
+        scenes = zip(positions, velocities, bodies, next_bodies, strict=True)
+        return [self.step(*scene, time_step) for scene in scenes]
 
     def simulate(
         self,
@@ -236,6 +275,7 @@ class SimulationLayer:
         substeps: int = 4,
         start: Tensor | None = None,
         velocities: Tensor | None = None,
+        silhouettes: Sequence[Sequence[SilhouetteRays]] | None = None,
     ) -> Motion:
         """Simulate F frames.
 
@@ -245,6 +285,7 @@ class SimulationLayer:
             substeps: steps per frame.
             start: garment at frame 0 (N, 3) [m]; its rest shape if None.
             velocities: at frame 0 (N, 3) [m/s]; 0 if None.
+            silhouettes: of every frame's views, for Eq. 1 in the step that ends there; none if None.
 
         Raises:
             InputError: the body has another number of vertices than the layer's.
@@ -266,12 +307,13 @@ class SimulationLayer:
         seconds = []
         body = body_positions[0]
         with torch.no_grad():
-            for before, after in pairwise(body_positions):
+            for frame, (before, after) in enumerate(pairwise(body_positions), 1):
                 begin = time.perf_counter()
                 steps.append([])
                 for sub in range(1, substeps + 1):
                     next_body = after if sub == substeps else torch.lerp(before, after, sub / substeps)
-                    step = self.step(x, v, body, next_body, h)
+                    seen = silhouettes[frame] if silhouettes is not None and sub == substeps else ()
+                    step = self.step(x, v, body, next_body, h, silhouettes=seen)
                     x, v, body = step.positions, step.velocities, next_body
                     steps[-1].append(step)
                 seconds.append(time.perf_counter() - begin)
@@ -287,6 +329,7 @@ class SimulationLayer:
             elastic=elastic,
             gravitational=gravitational,
             seconds=np.array(seconds),
+            velocities=v.numpy(),
         )
 
     def _energies(self, x: Tensor, v: Tensor) -> tuple[float, float, float]:

@@ -99,7 +99,7 @@ class BodyContact:
             near[body_faces[near[body_faces].any(1)]] = True
         kept = body_faces[near[body_faces].all(1)]
         self.body = MovingSurface(len(inactive), kept)
-        self._acting = ~inactive[kept].any(1)
+        self._acting: NDArray[np.bool_] = np.logical_not(np.any(inactive[kept], axis=1))
         faces = topology.faces.numpy()
         faces = faces[self.free[faces].any(1)]
         self.cloth = MovingSurface(topology.n_vertices, faces)
@@ -138,7 +138,7 @@ class BodyContact:
         return some, gaps
 
     def walls(self, points: Array) -> Nearest:
-        """Nearest points of the body, and in a crease of its other wall as well; ``body.move`` goes before."""
+        """Nearest points of the body, in a crease of its other wall as well; ``body.move`` goes before."""
         first = self.surface(points, self.settings.reach)
         close = np.flatnonzero(first.distances < self.settings.crease_reach)
         asked = first.which[close]
@@ -162,30 +162,11 @@ class BodyContact:
         return on_rim
 
 
-class StepContact(RenewedPotential):
-    """Contacts of one step.
+class FrozenContact(RenewedPotential):
+    """Contacts that are given: planes and normal forces of the friction don't change between solves."""
 
-    Attributes:
-        potential: of the planes as they are.
-        n_vertex: contacts of cloth vertices; those of body vertices come after.
-    """
-
-    def __init__(
-        self,
-        contact: BodyContact,
-        positions: Array,
-        body: Array,
-        next_body: Array,
-        friction: float | Tensor,
-        time_step: float,
-    ) -> None:
-        self._contact = contact
-        self._x = positions
-        self._body, self._next = body, next_body
-        self._friction = friction
-        self._sticking = contact.settings.sticking_speed * time_step
-        self._candidates = self._near(positions)
-        self._freeze(self._carried())
+    def __init__(self, potential: ContactPotential, friction: float | Tensor) -> None:
+        self.potential, self._friction = potential, friction
 
     def total(self, x: Array, free: Array) -> float:
         """See StepPotential."""
@@ -200,30 +181,16 @@ class StepContact(RenewedPotential):
         self.potential.add_hessian(blocks, pattern, x, convex=convex)
 
     def renew(self, x: Array) -> None:
-        """See RenewedPotential."""
-        contact, settings = self._contact, self._contact.settings
-        contact.body.move(self._next)
-        found = contact.walls(x[contact.loose])
-        offsets = np.einsum("ck,ck->c", found.normals, found.points) + settings.thickness
-        contact.cloth.move(x)
-        points = self._next[self._candidates]
-        normals = contact.normals(self._next)[self._candidates]
-        facing, gaps = contact.facing(points, normals, settings.body_reach)
-        self._freeze(
-            self._planes(
-                found,
-                found.normals,
-                offsets,
-                settings.thickness - found.distances,
-                facing,
-                settings.body_thickness - gaps,
-            )
-        )
+        """See RenewedPotential: nothing is."""
 
     def forces(self, x: Tensor, positions: Tensor) -> Tensor:
         """See RenewedPotential."""
-        friction = torch.as_tensor(self._friction, dtype=torch.float64)
-        return self.potential.forces(x, positions, friction)
+        return self.potential.forces(x, positions, torch.as_tensor(self._friction, dtype=torch.float64))
+
+    def again(self, positions: Array, friction: float | Tensor) -> FrozenContact:
+        """The contacts as they are for a step from other positions x_n (N, 3) [m]."""
+        number = float(torch.as_tensor(friction).detach())
+        return FrozenContact(self.potential.begun_at(positions, number), friction)
 
     def pushing(self, x: Array) -> int:
         """Contacts that push."""
@@ -237,6 +204,50 @@ class StepContact(RenewedPotential):
         moved = x.copy()
         np.add.at(moved, vertex, planes.depths(x)[single].clip(min=0.0)[:, None] * planes.normals[single])
         return moved
+
+
+class StepContact(FrozenContact):
+    """Contacts of one step.
+
+    Attributes:
+        potential: of the planes as they are.
+    """
+
+    def __init__(
+        self,
+        contact: BodyContact,
+        positions: Array,
+        body: Array,
+        next_body: Array,
+        friction: float | Tensor,
+        time_step: float,
+    ) -> None:
+        self._contact = contact
+        self._x = positions
+        self._body, self._next = body, next_body
+        self._sticking = contact.settings.sticking_speed * time_step
+        self._candidates = self._near(positions)
+        super().__init__(self._frozen(self._carried(), positions, friction), friction)
+
+    def renew(self, x: Array) -> None:
+        """See RenewedPotential."""
+        contact, settings = self._contact, self._contact.settings
+        contact.body.move(self._next)
+        found = contact.walls(x[contact.loose])
+        offsets = np.einsum("ck,ck->c", found.normals, found.points) + settings.thickness
+        contact.cloth.move(x)
+        points = self._next[self._candidates]
+        normals = contact.normals(self._next)[self._candidates]
+        facing, gaps = contact.facing(points, normals, settings.body_reach)
+        planes = self._planes(
+            found,
+            found.normals,
+            offsets,
+            settings.thickness - found.distances,
+            facing,
+            settings.body_thickness - gaps,
+        )
+        self.potential = self._frozen(planes, self._x, self._friction)
 
     def _near(self, x: Array) -> Indices:
         """Vertices of the body that may meet the cloth within the step."""
@@ -305,9 +316,9 @@ class StepContact(RenewedPotential):
             drags=np.concatenate((drags, self._next[own] - self._body[own])),
         )
 
-    def _freeze(self, planes: ContactPlanes) -> None:
-        friction = float(torch.as_tensor(self._friction).detach())
-        self.potential = ContactPotential(planes, self._x, friction, self._contact.penalty, self._sticking)
+    def _frozen(self, planes: ContactPlanes, x: Array, friction: float | Tensor) -> ContactPotential:
+        number = float(torch.as_tensor(friction).detach())
+        return ContactPotential(planes, x, number, self._contact.penalty, self._sticking)
 
 
 def _frames(corners: Array) -> Array:

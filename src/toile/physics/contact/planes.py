@@ -5,10 +5,11 @@ unit normal n, which it is to keep the thickness from. With d = offset - n·y, h
 
     U = k φ(d) + μ λ f(|u|),
 
-φ a parabola that begins smoothly and hardens (see Penalty), λ the normal force of the solve before, u the displacement over the step
-relative to the surface and along it, and f(s) = s beyond the displacement ε, smooth below: the dissipative
-potential of Li, Ferguson, Schneider, Langlois, Zorin, Panozzo, Jiang and Kaufman, Incremental Potential
-Contact, ACM Transactions on Graphics 39(4), 2020. A point that sticks creeps slower than ε / h.
+φ a parabola that begins smoothly and hardens (see Penalty), λ the normal force of the solve before, u the
+displacement over the step relative to the surface and along it, and f(s) = s beyond the displacement ε,
+smooth below: the dissipative potential of Li, Ferguson, Schneider, Langlois, Zorin, Panozzo, Jiang and
+Kaufman, Incremental Potential Contact, ACM Transactions on Graphics 39(4), 2020. A point that sticks creeps
+slower than ε / h.
 """
 
 from __future__ import annotations
@@ -89,6 +90,10 @@ class ContactPotential(StepPotential):
         self._back = self._weights.T.tocsr()
         self._starts = planes.points(positions) + planes.drags
         self._slots: Indices | None = None
+
+    def begun_at(self, positions: Array, friction: float) -> ContactPotential:
+        """The same for a step that begins elsewhere, with another μ."""
+        return ContactPotential(self.planes, positions, friction, self._penalty, self._sticking)
 
     def total(self, x: Array, free: Array) -> float:
         """See StepPotential."""

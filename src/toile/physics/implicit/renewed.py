@@ -68,6 +68,23 @@ class PotentialSum(StepPotential):
             part.add_hessian(blocks, pattern, x, convex=convex)
 
 
+class RenewedSum(PotentialSum, RenewedPotential):
+    """Several renewed potentials at once."""
+
+    def __init__(self, parts: Sequence[RenewedPotential]) -> None:
+        super().__init__(parts)
+        self._renewed = tuple(parts)
+
+    def renew(self, x: Array) -> None:
+        """See RenewedPotential."""
+        for part in self._renewed:
+            part.renew(x)
+
+    def forces(self, x: Tensor, positions: Tensor) -> Tensor:
+        """See RenewedPotential."""
+        return torch.stack([part.forces(x, positions) for part in self._renewed]).sum(0)
+
+
 class RenewingSimulator(ImplicitSimulator):
     """ImplicitSimulator whose steps are solved in several passes, with potentials renewed in between.
 
