@@ -187,12 +187,12 @@ def arm_swing(track: Track, rng: np.random.Generator) -> None:
     wave = np.sin(2 * np.pi * track.time / period + np.pi * rng.integers(2))
     for side, sign in SIDES:
         track.add(f"{side}_upper_arm", -40 * size * sign * wave, -12)
-        track.add(f"{side}_lower_arm", 0)
         track.add(f"{side}_upper_leg", -4 - 2 * sign * wave)
         track.add(f"{side}_lower_leg", 8 + 4 * sign * wave)
         track.add(f"{side}_foot", -4 - 2 * sign * wave)
-    track.add("spine", 2, 0, 8 * size * wave)
-    track.add("chest", 0, 0, 8 * size * wave)
+    # The shoulder of the arm in front comes forward.
+    track.add("spine", 2, 0, -8 * size * wave)
+    track.add("chest", 0, 0, -8 * size * wave)
 
 
 MOTIONS: Mapping[str, Maker] = {
@@ -215,7 +215,6 @@ def _gait(track: Track, phase: Floats, size: float) -> None:
         track.add(f"{side}_foot", size * _periodic(_ANKLE, own), -1.5)
         # An arm goes with the other side's leg.
         track.add(f"{side}_upper_arm", 18 * size * np.cos(2 * np.pi * own), -18)
-        track.add(f"{side}_lower_arm", 0)
     swing = np.cos(2 * np.pi * phase)
     track.add("hips", 0, 2 * size * np.sin(2 * np.pi * phase), -3 * size * swing)
     track.add("spine", 0, -2 * size * np.sin(2 * np.pi * phase), 3 * size * swing)
