@@ -11,6 +11,7 @@ import roma
 import torch
 from torch import Tensor
 
+from toile.capture.body.bake import sparse_landmarks
 from toile.capture.body.limits import beyond_limits, joint_angles, within_limits
 from toile.capture.body.poses import Poses, from_world_axes, posed_joints, rest_poses
 from toile.capture.body.skinning import skin
@@ -184,6 +185,30 @@ def test_limits_bring_a_knee_back() -> None:
     assert float(beyond_limits(subject, limited).max()) < 1e-12
     assert float(joint_angles(subject, limited)[1, knee, 0]) == pytest.approx(math.radians(60))
     assert limited.rotations[1].allclose(poses.rotations[1], atol=1e-14)
+
+
+def test_landmarks_from_few_vertices_are_those_from_many() -> None:
+    """Under linear blending in every pose, because the sums for each joint are the same."""
+    subject = load_subject()
+    generator = torch.Generator().manual_seed(0)
+    regressor = torch.zeros(1, len(subject.rest_vertices), dtype=torch.float64)
+    near = (subject.rest_vertices - torch.tensor([0.14, 0.5, 0.05])).norm(dim=1).topk(500, largest=False)
+    regressor[0, near.indices] = torch.rand(500, generator=generator, dtype=torch.float64)
+    regressor /= regressor.sum()
+    indices, weights = sparse_landmarks(
+        regressor,
+        subject.rest_vertices,
+        subject.skinning_indices,
+        subject.skinning_weights,
+        len(subject.joint_names),
+    )
+    assert indices.shape[1] < 60
+    assert bool((weights >= 0).all())
+    turns = 0.8 * torch.randn(3, len(subject.joint_names), 3, generator=generator, dtype=torch.float64)
+    poses = Poses(roma.rotvec_to_rotmat(turns), torch.zeros(3, 3, dtype=torch.float64))
+    posed = skin(subject, poses, "linear")
+    few = (posed[:, indices] * weights[..., None]).sum(2)
+    assert few.allclose(regressor @ posed, atol=1e-8)
 
 
 def _broken(**changes: object) -> dict[str, object]:
