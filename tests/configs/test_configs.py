@@ -30,6 +30,7 @@ DELTAS = (
     "diagnosis=fine",
     "blind=tiny",
     "blind=sessions",
+    "capture",
 )
 OPTIONS = sorted(
     f"{path.parent.relative_to(CONF).as_posix()}={path.stem}"

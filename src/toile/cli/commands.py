@@ -81,6 +81,14 @@ COMMANDS = {
         plain="run",
         aliases=(("diagnosis", "run"),),
     ),
+    "capture": Command(
+        "toile.cli.capture",
+        "make data of people in moving garments; show and export it",
+        "data preset=demo folder=<new folder>",
+        plain="action",
+        words=("data", "page", "export"),
+        aliases=(("preset", "capture"),),
+    ),
     "subject": Command(
         "toile.cli.subject",
         "make a person to dress, from the body model anny or a skinned glTF file",

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
@@ -101,6 +103,55 @@ class Looks:
         return cls(torch.cat((body, garment), 1), light, float(rng.uniform(0.45, 0.65)), (r, g, b))
 
 
+@dataclass(frozen=True)
+class Picture:
+    """One image of a person.
+
+    Attributes:
+        rgb: (h, w, 3) in [0, 1], black where nothing is.
+        person: coverage by body and garment (h, w) in [0, 1].
+        garment: pixels whose centre shows the garment (h, w), bool.
+    """
+
+    rgb: Tensor
+    person: Tensor
+    garment: Tensor
+
+
+class _Model:
+    """Body and garment of a clip as one textured mesh."""
+
+    def __init__(self, truth: Truth, looks: Looks) -> None:
+        moving = (
+            (truth.body_positions, truth.body_faces),
+            (truth.garment_positions, truth.garment_faces),
+        )
+        parts = [_Unrolled.of(x[0], faces) for x, faces in moving]
+        self._surfaces = [
+            (np.ascontiguousarray(x), torch.from_numpy(np.ascontiguousarray(faces)), part.vertices)
+            for (x, faces), part in zip(moving, parts, strict=True)
+        ]
+        self._faces = torch.cat((parts[0].faces, parts[1].faces + len(parts[0].vertices)))
+        self._n_body = len(parts[0].faces)
+        # Half the picture each, with a margin that keeps the two from bleeding into each other.
+        self._uv = torch.cat((_squeezed(parts[0].uv, 0.0), _squeezed(parts[1].uv, 0.5))).float()
+        self._looks = looks
+
+    def draw(self, f: int, camera: Camera, renderer: Renderer) -> Picture:
+        """Frame f."""
+        shown = [(torch.from_numpy(x[f]), faces, index) for x, faces, index in self._surfaces]
+        positions = torch.cat([x[index] for x, _, index in shown])[None]
+        normals = torch.cat([vertex_normals(x, faces)[index] for x, faces, index in shown])
+        image = renderer.render(positions, self._faces, self._uv, self._looks.texture, camera)
+        hit = renderer.rasterize(positions, self._faces, camera)
+        seen = hit.face[0] >= 0
+        corners = self._faces[hit.face[0].clamp(min=0)]
+        normal = (normals[corners] * hit.barycentrics[0][..., None].double()).sum(-2)
+        light = torch.where(seen, _shade(normal, camera, self._looks), 1.0)
+        rgb = image.rgb[0] * light[..., None].float()
+        return Picture(rgb, image.silhouette[0], seen & (hit.face[0] >= self._n_body))
+
+
 def film(
     truth: Truth,
     cameras: tuple[Camera, ...],
@@ -123,20 +174,7 @@ def film(
         folder: of the clip; files go to ``views/<camera>/``.
         name: of the recording.
     """
-    body, garment = (
-        _Unrolled.of(truth.body_positions[0], truth.body_faces),
-        _Unrolled.of(truth.garment_positions[0], truth.garment_faces),
-    )
-    faces = torch.cat((body.faces, garment.faces + len(body.vertices)))
-    # Half the picture each, with a margin that keeps the two from bleeding into each other.
-    uv = torch.cat((_squeezed(body.uv, 0.0), _squeezed(garment.uv, 0.5))).float()
-    surfaces = [
-        (np.ascontiguousarray(x), torch.from_numpy(np.ascontiguousarray(own)), part)
-        for x, own, part in (
-            (truth.body_positions, truth.body_faces, body),
-            (truth.garment_positions, truth.garment_faces, garment),
-        )
-    ]
+    model = _Model(truth, looks)
     views = []
     for k, camera in enumerate(cameras):
         label = f"camera{k}"
@@ -144,25 +182,40 @@ def film(
         place.mkdir(parents=True)
         background = _background(camera, looks.background, rng)
         for f in range(truth.n_frames):
-            shown = [(torch.from_numpy(x[f]), own, part) for x, own, part in surfaces]
-            positions = torch.cat([x[part.vertices] for x, _, part in shown])[None]
-            normals = torch.cat([vertex_normals(x, own)[part.vertices] for x, own, part in shown])
-            image = renderer.render(positions, faces, uv, looks.texture, camera)
-            hit = renderer.rasterize(positions, faces, camera)
-            number = hit.face[0].clamp(min=0)
-            normal = (normals[faces[number]] * hit.barycentrics[0][..., None].double()).sum(-2)
-            seen = hit.face[0] >= 0
-            light = _shade(normal, camera, looks) * seen + ~seen * 1.0
-            cover = image.silhouette[0]
-            rgb = image.rgb[0] * light[..., None].float() + (1 - cover)[..., None] * background
+            picture = model.draw(f, camera, renderer)
+            rgb = picture.rgb + (1 - picture.person)[..., None] * background
             write_image(place / f"rgb_{f:03d}.png", rgb)
-            write_image(place / f"mask_{f:03d}.png", cover)
-            cloth = seen & (hit.face[0] >= len(body.faces))
-            write_image(place / f"garment_mask_{f:03d}.png", cloth.float())
+            write_image(place / f"mask_{f:03d}.png", picture.person)
+            write_image(place / f"garment_mask_{f:03d}.png", picture.garment.float())
         marks = detected(truth.landmarks, camera, noise, rng)
         np.save(place / "landmarks.npy", marks.numpy())
         views.append(_view(label, camera, folder, truth.n_frames, marks))
     return MultiView(name, tuple(views), truth.fps, truth.landmark_names)
+
+
+def drawn(
+    truth: Truth, camera: Camera, looks: Looks, renderer: Renderer, frames: Sequence[int]
+) -> list[npt.NDArray[np.uint8]]:
+    """Pictures (h, w, 3), uint8, of some frames before a grey wall, e.g. from where no camera stood."""
+    model = _Model(truth, looks)
+    found = []
+    for f in frames:
+        picture = model.draw(f, camera, renderer)
+        rgb = picture.rgb + (1 - picture.person)[..., None] * 0.93
+        found.append((255 * rgb.clamp(0, 1)).round().byte().numpy())
+    return found
+
+
+def looking_from(camera: Camera, angle: float) -> Camera:
+    """A camera turned about the world's vertical axis, with what it looks at.
+
+    Args:
+        camera: with its pose.
+        angle: [rad], counter-clockwise from above.
+    """
+    c, s = math.cos(angle), math.sin(angle)
+    turn = torch.tensor([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]], dtype=torch.float64)
+    return camera.with_pose(camera.R @ turn.T, camera.t)
 
 
 def detected(landmarks: Floats, camera: Camera, noise: LandmarkNoise, rng: np.random.Generator) -> Tensor:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 import torch
@@ -18,18 +18,19 @@ from toile.capture.data.clips import Domain, Floats, PlannedClip, Truth
 from toile.capture.data.filming import CameraRing, LandmarkNoise, Looks, film
 from toile.capture.garments.embedding import embed
 from toile.capture.garments.garment import Garment, face_frames
+from toile.capture.garments.own_mesh import OwnMesh
 from toile.capture.garments.patterns import DressPattern, SkirtPattern
 from toile.capture.layer.layer import SimulationLayer
-from toile.capture.motion.procedural import make_motion
+from toile.capture.motion.procedural import MOTIONS, make_motion
 from toile.effects.air_drag import AirDrag
+from toile.errors import InputError
 from toile.limits import Count, Fraction, NonNegative, Positive, Seed, TwoOrMore, Unit
 from toile.physics.energies.membrane import Membrane, StVenantKirchhoff
 from toile.physics.simulator import SimulationError
 from toile.rendering.base import Renderer
-from toile.rendering.warp.renderer import WarpRenderer
 from toile.scenes.views import MultiView
 
-Pattern = SkirtPattern | DressPattern
+Pattern = SkirtPattern | DressPattern | OwnMesh
 _MOTION, _FILM = 0, 1  # purposes of random numbers
 
 
@@ -89,32 +90,48 @@ class OwnDomain(Domain):
     Args:
         settings: see CaptureSettings.
         garment: the model's garment, made for the subject.
-        membrane: law of in-plane strain of the truth; the model's is another one.
-        renderer: makes the renderer.
+        renderer: draws the images.
+
+    Raises:
+        InputError: a motion that is none.
     """
 
     NAME = "own"
+    LAW: ClassVar[type[Membrane]] = StVenantKirchhoff
+    """Law of in-plane strain of the truth; the model's is another one."""
 
     def __init__(
         self,
         settings: CaptureSettings,
         garment: Pattern,
-        membrane: type[Membrane] = StVenantKirchhoff,
-        renderer: Callable[[], Renderer] = WarpRenderer,
+        renderer: Renderer,
     ) -> None:
+        unknown = [name for name in settings.motions if name not in MOTIONS]
+        if unknown:
+            raise InputError(
+                "Unknown motion",
+                where="settings.motions",
+                expected=", ".join(MOTIONS),
+                got=", ".join(unknown),
+            )
         self.settings = settings
         self.pattern = garment
-        self.membrane = membrane
-        self._make_renderer = renderer
+        self._renderer = renderer
 
     def describe(self) -> Mapping[str, Any]:
-        """See Domain."""
+        """See Domain.
+
+        Raises:
+            InputError: no such subject, or no garment of this kind that fits.
+        """
+        # Whatever is wrong with them is said before anything is written.
+        _ = self.garment, self.true_garment
         kind = type(self.pattern).__name__.removesuffix("Pattern").lower()
         return {
             "domain": self.NAME,
             "settings": asdict(self.settings),
             "garment": {"kind": kind, **asdict(self.pattern)},
-            "membrane": self.membrane.__name__,
+            "membrane": self.LAW.__name__,
         }
 
     def plans(self) -> Sequence[PlannedClip]:
@@ -135,8 +152,17 @@ class OwnDomain(Domain):
     @cached_property
     def true_garment(self) -> Garment:
         """The finer garment of the truth."""
-        world = self.settings.world
-        finer = replace(self.pattern, vertices=self.pattern.vertices * world.vertices)
+        world, finer = self.settings.world, self.pattern
+        if isinstance(finer, OwnMesh):
+            if world.vertices != 1:
+                raise InputError(
+                    "A mesh of one's own has no finer version",
+                    where="settings.world.vertices",
+                    expected="1, with garment=mesh",
+                    got=f"{world.vertices:g}",
+                )
+        else:
+            finer = replace(finer, vertices=round(finer.vertices * world.vertices))
         made = finer.make(self.subject)
         material = replace(
             made.material,
@@ -167,7 +193,7 @@ class OwnDomain(Domain):
         s, world, garment = self.settings, self.settings.world, self.true_garment
         body = self.body(plan)
         drag = AirDrag({"linear": world.drag, "normal": world.drag_across})
-        layer = SimulationLayer.of(garment, self.subject, membrane=self.membrane, terms=(drag,))
+        layer = SimulationLayer.of(garment, self.subject, membrane=self.LAW, terms=(drag,))
         motion = layer.simulate(body, s.fps, world.substeps)
         converged = float(motion.converged.mean())
         if converged < world.least_converged:
@@ -175,7 +201,8 @@ class OwnDomain(Domain):
                 f"{plan.folder}: {100 * converged:.1f} % of the steps of the truth converged, "
                 f"{100 * world.least_converged:g} % asked for"
             )
-        return self.truth_of(body, motion.garment_positions, {"converged": motion.converged})
+        extra = {"converged": motion.converged, "membrane": np.array(self.LAW.__name__)}
+        return self.truth_of(body, motion.garment_positions, extra)
 
     def truth_of(self, body: torch.Tensor, garment: Floats, extra: Mapping[str, Any]) -> Truth:
         """The truth of a motion of the finer garment; the model's vertices are carried along by its faces."""
@@ -200,10 +227,6 @@ class OwnDomain(Domain):
         looks = Looks.random(rng, self.settings.ring.side)
         cameras = self.settings.ring.cameras()
         return film(truth, cameras, looks, self.settings.noise, rng, self._renderer, folder, plan.folder)
-
-    @cached_property
-    def _renderer(self) -> Renderer:
-        return self._make_renderer()
 
     def _carried(self, motion: Floats) -> Floats:
         """Vertices of the model (F, M, 3) where the finer garment takes them."""
