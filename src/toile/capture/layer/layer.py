@@ -19,9 +19,9 @@ from torch import Tensor
 
 from toile.capture.body.subject import Subject
 from toile.capture.garments.garment import Garment, attached_targets
-from toile.capture.layer.silhouette import SilhouettePotential, SilhouetteRays
+from toile.capture.layer.silhouette import Outline, SilhouettePotential, SilhouetteRays
 from toile.errors import InputError
-from toile.limits import Count, Positive
+from toile.limits import Count, Fraction, Positive
 from toile.physics.cloth import mesh_cloth
 from toile.physics.contact.body import BodyContact, ContactSettings, FrozenContact
 from toile.physics.energies.membrane import Membrane, NeoHookean
@@ -50,6 +50,7 @@ class LayerSettings:
         passes: solves per step, the contacts renewed in between.
         contact: see ContactSettings.
         silhouette_weight: of one pixel in Eq. 1 [N/m].
+        silhouette_along: share of it along the silhouette; 1 in Eq. 1, see SilhouettePotential.
         silhouette_reach: pixels farther than this from the cloth count for nothing [m].
     """
 
@@ -58,7 +59,8 @@ class LayerSettings:
     max_iterations: Count = 60
     passes: Count = 3
     contact: ContactSettings = field(default_factory=ContactSettings)
-    silhouette_weight: Positive = 1.0
+    silhouette_weight: Positive = 0.1
+    silhouette_along: Fraction = 1.0
     silhouette_reach: Positive = 0.1
 
 
@@ -160,6 +162,7 @@ class SimulationLayer:
             np.zeros(self._n_body, np.bool_) if inactive is None else inactive.numpy(),
             self.settings.contact,
         )
+        self._outline = Outline(self.cloth.topology, self.contact.body)
         self._simulators: dict[float, RenewingSimulator] = {}
         self._gravity = torch.zeros(self.cloth.n_vertices, 3, dtype=torch.float64)
         self._gravity[:, 1] = -GRAVITY * self.cloth.masses
@@ -227,9 +230,10 @@ class SimulationLayer:
         potential: RenewedPotential = contact
         if silhouettes:
             drawn = SilhouettePotential(
-                self.cloth.topology,
+                self._outline,
                 silhouettes,
                 self.settings.silhouette_weight,
+                self.settings.silhouette_along,
                 self.settings.silhouette_reach,
                 guess,
             )
@@ -261,8 +265,10 @@ class SimulationLayer:
         The pattern of the factorisation is analysed once for all; nothing else could be shared.
 
         Args:
-            positions, velocities: (B, N, 3), see ``step``.
-            bodies, next_bodies: (B, V, 3).
+            positions: (B, N, 3), see ``step``.
+            velocities: (B, N, 3).
+            bodies: at the begin (B, V, 3).
+            next_bodies: at the end (B, V, 3).
             time_step: h [s].
         """
         scenes = zip(positions, velocities, bodies, next_bodies, strict=True)
