@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import struct
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from torch import Tensor
 
 from toile.capture.body.gltf import subject_from_gltf
 from toile.capture.body.limits import beyond_limits, joint_angles
-from toile.capture.body.poses import Poses, posed_joints, rest_poses
+from toile.capture.body.poses import Poses, from_world_axes, posed_joints, rest_poses
 from toile.capture.body.skinning import skin
 from toile.capture.body.subject import Subject, load_subject
 from toile.capture.garments.quality import crossing_edges
@@ -364,6 +365,35 @@ def test_an_animated_gltf_file_moves_its_own_subject(tmp_path: Path) -> None:
         s, c = math.sin(math.radians(angle)), math.cos(math.radians(angle))
         assert leg == pytest.approx([0, -0.42 * c, 0.42 * s], abs=1e-6)
     assert math.degrees(float(joint_angles(subject, poses)[10, hip, 0])) == pytest.approx(-45, abs=1e-4)
+
+
+def test_a_skeleton_without_arms_walks(tmp_path: Path) -> None:
+    subject = subject_from_gltf(figure().write(tmp_path / "figure.glb"))
+    poses = make_motion(subject, "walk", 40, FPS, 0)
+    feet = posed_joints(subject, poses)[:, [subject.joint_names.index("mixamorig:LeftFoot")], 2, 3]
+    assert float(feet.max() - feet.min()) > 0.15
+    assert float(skin(subject, poses)[..., 1].amin(1).abs().max()) < 0.02
+
+
+def test_arms_of_a_t_pose_come_down(subject: Subject) -> None:
+    """Whatever the pose at rest: within half a second the arm points where that of an A-pose does."""
+    shoulder, elbow = (subject.joint_names.index(name) for name in ("upperarm01.L", "lowerarm01.L"))
+    world = torch.eye(3, dtype=torch.float64).repeat(1, len(subject.joint_names), 1, 1)
+    world[0, shoulder] = roma.euler_to_rotmat("Z", torch.tensor([math.radians(48)], dtype=torch.float64))
+    raised = from_world_axes(subject, world, torch.zeros(1, 3, dtype=torch.float64))
+    other = replace(
+        subject,
+        rest_vertices=skin(subject, raised, "linear")[0],
+        rest_joints=posed_joints(subject, raised)[0],
+    )
+
+    def down(who: Subject) -> float:
+        points = posed_joints(who, make_motion(who, "walk", 25, FPS, 0))[-1, :, :3, 3]
+        arm = points[elbow] - points[shoulder]
+        return math.degrees(math.atan2(float(arm[0]), float(-arm[1])))
+
+    assert down(subject) < 35
+    assert down(other) == pytest.approx(down(subject), abs=5)
 
 
 @pytest.mark.parametrize(

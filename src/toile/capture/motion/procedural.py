@@ -74,6 +74,11 @@ class Track:
 # Height by which a foot may be lifted and still counts as standing [m].
 _SOFT = 0.004
 
+# Angle between the arms and the vertical in an A-pose, to which the motions' angles are added.
+_ARMS_AWAY = 45.0
+
+_FEET = ("left_foot", "right_foot")
+
 Maker = Callable[[Track, np.random.Generator], None]
 
 
@@ -81,7 +86,7 @@ def make_motion(subject: Subject, name: str, frames: int, fps: float, seed: int)
     """A motion that begins at rest; angles are kept within the limits of the joints.
 
     Args:
-        subject: who moves; needs hips, legs, and arms by one of the usual names.
+        subject: who moves; needs hips, legs and feet by one of the usual names.
         name: one of ``MOTIONS``.
         frames: F.
         fps: frames a second.
@@ -239,7 +244,7 @@ def _smooth_between(values: Floats, time: Floats, width: float) -> Floats:
 
 def _fitted(subject: Subject, track: Track, fps: float) -> Poses:
     roles = humanoid_joints(subject.joint_names)
-    needed = {role for role in track.angles if role.endswith(("_leg", "_foot", "_arm"))} | {"hips"}
+    needed = {role for role in track.angles if role.endswith(("_leg", "_foot"))} | {"hips", *_FEET}
     missing = sorted(needed - set(roles))
     if missing:
         raise InputError(
@@ -248,6 +253,7 @@ def _fitted(subject: Subject, track: Track, fps: float) -> Poses:
             expected=f"{', '.join(sorted(needed))}, by one of the usual names",
             got=f"none for {', '.join(missing)}",
         )
+    _lower_arms(subject, track, roles)
     grows = _growth(track.time)
     angles = torch.zeros(len(track.time), len(subject.joint_names), 3, dtype=torch.float64)
     for role, degrees in track.angles.items():
@@ -260,6 +266,16 @@ def _fitted(subject: Subject, track: Track, fps: float) -> Poses:
     poses = from_world_axes(subject, world, torch.zeros(len(track.time), 3, dtype=torch.float64))
     poses = within_limits(subject, poses)
     return Poses(poses.rotations, _on_the_floor(subject, poses, track, grows, roles, fps))
+
+
+def _lower_arms(subject: Subject, track: Track, roles: Mapping[str, int]) -> None:
+    """Take the arms of a subject that rests in a T-pose to where those of an A-pose are."""
+    for side, sign in SIDES:
+        arm, elbow = (roles.get(f"{side}_{limb}_arm") for limb in ("upper", "lower"))
+        if arm is not None and elbow is not None and f"{side}_upper_arm" in track.angles:
+            x, y, _ = (subject.rest_joints[elbow, :3, 3] - subject.rest_joints[arm, :3, 3]).tolist()
+            away = float(np.degrees(np.arctan2(sign * x, -y)))
+            track.add(f"{side}_upper_arm", 0, min(0.0, _ARMS_AWAY - away))
 
 
 def _growth(time: Floats) -> Floats:
@@ -307,4 +323,12 @@ def _vertices_below(subject: Subject, joint: int) -> Tensor:
     for child in range(joint + 1, len(below)):
         below[child] = below[int(subject.parents[child])]
     strongest = subject.skinning_indices.gather(1, subject.skinning_weights.argmax(1, keepdim=True))[:, 0]
-    return below[strongest].nonzero().ravel()
+    found = below[strongest].nonzero().ravel()
+    if not len(found):
+        raise InputError(
+            "Subject has no foot to stand on",
+            where="subject.skinning_weights",
+            expected=f"vertices that {subject.joint_names[joint]} moves",
+            got="none",
+        )
+    return found
