@@ -118,23 +118,34 @@ class Picture:
     garment: Tensor
 
 
-class _Model:
-    """Body and garment of a clip as one textured mesh."""
+class TexturedPair:
+    """Body and garment of a clip as one textured mesh.
+
+    Args:
+        truth: their motion.
+        looks: textures and light.
+
+    Attributes:
+        vertices: (V',) which vertex of the body, then of the garment (from V on), each of its own is.
+        faces: (T, 3) of those.
+        uv: (V', 2).
+    """
 
     def __init__(self, truth: Truth, looks: Looks) -> None:
         moving = (
             (truth.body_positions, truth.body_faces),
             (truth.garment_positions, truth.garment_faces),
         )
-        parts = [_Unrolled.of(x[0], faces) for x, faces in moving]
+        parts = [Unrolled.of(x[0], faces) for x, faces in moving]
         self._surfaces = [
             (np.ascontiguousarray(x), torch.from_numpy(np.ascontiguousarray(faces)), part.vertices)
             for (x, faces), part in zip(moving, parts, strict=True)
         ]
-        self._faces = torch.cat((parts[0].faces, parts[1].faces + len(parts[0].vertices)))
+        self.faces = torch.cat((parts[0].faces, parts[1].faces + len(parts[0].vertices)))
         self._n_body = len(parts[0].faces)
+        self.vertices = torch.cat((parts[0].vertices, parts[1].vertices + truth.body_positions.shape[1]))
         # Half the picture each, with a margin that keeps the two from bleeding into each other.
-        self._uv = torch.cat((_squeezed(parts[0].uv, 0.0), _squeezed(parts[1].uv, 0.5))).float()
+        self.uv = torch.cat((squeezed(parts[0].uv, 0.0), squeezed(parts[1].uv, 0.5))).float()
         self._looks = looks
 
     def draw(self, f: int, camera: Camera, renderer: Renderer) -> Picture:
@@ -142,10 +153,10 @@ class _Model:
         shown = [(torch.from_numpy(x[f]), faces, index) for x, faces, index in self._surfaces]
         positions = torch.cat([x[index] for x, _, index in shown])[None]
         normals = torch.cat([vertex_normals(x, faces)[index] for x, faces, index in shown])
-        image = renderer.render(positions, self._faces, self._uv, self._looks.texture, camera)
-        hit = renderer.rasterize(positions, self._faces, camera)
+        image = renderer.render(positions, self.faces, self.uv, self._looks.texture, camera)
+        hit = renderer.rasterize(positions, self.faces, camera)
         seen = hit.face[0] >= 0
-        corners = self._faces[hit.face[0].clamp(min=0)]
+        corners = self.faces[hit.face[0].clamp(min=0)]
         normal = (normals[corners] * hit.barycentrics[0][..., None].double()).sum(-2)
         light = torch.where(seen, _shade(normal, camera, self._looks), 1.0)
         rgb = image.rgb[0] * light[..., None].float()
@@ -174,7 +185,7 @@ def film(
         folder: of the clip; files go to ``views/<camera>/``.
         name: of the recording.
     """
-    model = _Model(truth, looks)
+    model = TexturedPair(truth, looks)
     views = []
     for k, camera in enumerate(cameras):
         label = f"camera{k}"
@@ -189,7 +200,7 @@ def film(
             write_image(place / f"garment_mask_{f:03d}.png", picture.garment.float())
         marks = detected(truth.landmarks, camera, noise, rng)
         np.save(place / "landmarks.npy", marks.numpy())
-        views.append(_view(label, camera, folder, truth.n_frames, marks))
+        views.append(view_of(label, camera, folder, truth.n_frames, marks))
     return MultiView(name, tuple(views), truth.fps, truth.landmark_names)
 
 
@@ -197,7 +208,7 @@ def drawn(
     truth: Truth, camera: Camera, looks: Looks, renderer: Renderer, frames: Sequence[int]
 ) -> list[npt.NDArray[np.uint8]]:
     """Pictures (h, w, 3), uint8, of some frames before a grey wall, e.g. from where no camera stood."""
-    model = _Model(truth, looks)
+    model = TexturedPair(truth, looks)
     found = []
     for f in frames:
         picture = model.draw(f, camera, renderer)
@@ -229,7 +240,8 @@ def detected(landmarks: Floats, camera: Camera, noise: LandmarkNoise, rng: np.ra
     return torch.cat((torch.where(kept[..., None], moved, 0.0), confidence[..., None]), -1).float()
 
 
-def _view(label: str, camera: Camera, folder: Path, n: int, marks: Tensor) -> View:
+def view_of(label: str, camera: Camera, folder: Path, n: int, marks: Tensor) -> View:
+    """The view whose n frames, masks and garment masks are written to ``views/<label>/``."""
     nothing = View(label, camera, (Path("x.png"),), (Path("x.png"),), (Path("x.png"),), marks)
     files = view_files(nothing, f"views/{label}")
     rgb, mask, cloth = (
@@ -256,12 +268,13 @@ def _background(camera: Camera, colour: tuple[float, float, float], rng: np.rand
     return (smooth[0].permute(1, 2, 0) + torch.tensor(colour, dtype=torch.float64)).clamp(0, 1).float()
 
 
-def _squeezed(uv: Tensor, start: float) -> Tensor:
+def squeezed(uv: Tensor, start: float) -> Tensor:
+    """Texture coordinates within the half of a picture that begins at u = ``start``."""
     return torch.stack((start + 0.01 + 0.48 * uv[:, 0], uv[:, 1]), -1)
 
 
 @dataclass(frozen=True)
-class _Unrolled:
+class Unrolled:
     """A surface cut open behind, so that it has texture coordinates without a jump.
 
     Attributes:
@@ -275,7 +288,7 @@ class _Unrolled:
     uv: Tensor
 
     @classmethod
-    def of(cls, positions: Floats, faces: Indices) -> _Unrolled:
+    def of(cls, positions: Floats, faces: Indices) -> Unrolled:
         """Around the vertical axis through the middle."""
         centre = positions.mean(0)
         angle = np.arctan2(positions[:, 0] - centre[0], positions[:, 2] - centre[2])
