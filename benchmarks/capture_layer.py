@@ -43,7 +43,7 @@ from toile.rendering import WarpRenderer
 FOLDER = Path("outputs") / "capture_layer"
 FPS, SUBSTEPS, FRAMES, SEED = 30.0, 4, 300, 0
 GARMENTS: dict[str, Callable[..., Garment]] = {"skirt": make_skirt, "dress": make_dress}
-MOTIONS = ("squat", "walk", "twirl")
+MOTIONS = ("walk", "twirl", "squat")
 VERTICES = 960
 SIZES = (500, 1000, 1500, 3000)
 CHUNK = 25
@@ -87,7 +87,7 @@ def penetration(layer: SimulationLayer, body: np.ndarray, cloth: np.ndarray) -> 
     every.move(cloth)
     hits = every.hits(points[near], -normals[near], 0.03)
     through = max(-gaps.min(initial=0.0), hits[np.isfinite(hits)].max(initial=0.0))
-    return max(-float(found.distances.min(initial=0.0)), 0.0), float(through)
+    return max(0.0, -float(found.distances.min(initial=0.0))), float(through)
 
 
 def run(garment_name: str, motion_name: str, vertices: int = VERTICES, frames: int = FRAMES) -> dict:
@@ -147,7 +147,7 @@ def run(garment_name: str, motion_name: str, vertices: int = VERTICES, frames: i
         "vertices": layer.cloth.n_vertices,
         "frames": frames,
         "converged_share": float(converged.mean()),
-        "penetration_max_mm": 1e3 * float(depths[:, 0].max()),
+        "penetration_max_mm": 1e3 * abs(float(depths[:, 0].max())),
         "penetration_body_through_cloth_mm": 1e3 * float(depths[:, 1].max()),
         "waist_error_mm": 1e3 * float(max(chunk["waist"] for chunk in chunks)),
         "seconds_per_frame": float(cpu) / (frames - 1),
@@ -176,7 +176,7 @@ COLUMNS = (
 
 def motions() -> pd.DataFrame:
     """One row per garment and motion."""
-    pairs = [(garment, motion) for motion in MOTIONS for garment in GARMENTS]
+    pairs = [(garment, motion) for garment in GARMENTS for motion in MOTIONS]
     return pd.DataFrame([kept(f"{g}_{m}_{VERTICES}", partial(run, g, m)) for g, m in pairs])
 
 

@@ -47,7 +47,8 @@ class LayerSettings:
         tolerance: see NewtonSettings; of the last pass.
         loosely: that of the passes before as a multiple.
         max_iterations: Newton iterations of a pass.
-        passes: solves per step, the contacts renewed in between.
+        passes: solves per step, the contacts renewed in between; up to twice as many where the last one does
+            not converge.
         contact: see ContactSettings.
         silhouette_weight: of one pixel in Eq. 1 [N/m].
         silhouette_along: share of it along the silhouette; 1 in Eq. 1, see SilhouettePotential.

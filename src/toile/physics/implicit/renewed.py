@@ -24,7 +24,7 @@ from toile.physics.implicit.potential import StepPotential
 from toile.physics.implicit.simulator import ImplicitSimulator
 from toile.physics.implicit.terms import SceneTerms
 from toile.physics.material import Material
-from toile.physics.simulator import StepResult
+from toile.physics.simulator import StepResult, StepStatus
 from toile.physics.state import State
 from toile.physics.step_terms import StepContext, StepTerm
 
@@ -95,7 +95,7 @@ class RenewingSimulator(ImplicitSimulator):
         time_step: h [s].
         integrator: see integrators.
         newton: of the last pass.
-        passes: solves per step.
+        passes: solves per step; as many again where the last one does not converge.
         loosely: tolerance of the passes before the last as a multiple of the last one's.
         terms: see ImplicitSimulator.
     """
@@ -165,8 +165,8 @@ class RenewingSimulator(ImplicitSimulator):
             term.prepare(self.assembly)
             found: StepSolution | None = None
             iterations = 0
-            for number in range(self.passes):
-                last = number == self.passes - 1
+            for number in range(2 * self.passes):
+                last = number >= self.passes - 1
                 if found is not None:
                     own.renew(found.positions)
                 found = minimise_incremental_potential(
@@ -183,11 +183,14 @@ class RenewingSimulator(ImplicitSimulator):
                     linearize=linearize and last,
                     extra=term.vertices,
                     factor=None if found is None else found.factor,
-                    keep_factor=not last,
+                    keep_factor=True,
                 )
                 iterations += found.iterations
+                # Where the last pass got stuck, others with renewed potentials may not.
+                if last and found.status is StepStatus.CONVERGED:
+                    break
             assert found is not None
-            solutions.append(replace(found, iterations=iterations))
+            solutions.append(replace(found, iterations=iterations, factor=None))
         return solutions
 
     def _with_hidden_gradients(

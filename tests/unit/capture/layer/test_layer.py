@@ -180,9 +180,9 @@ def seen(layer: SimulationLayer, cloth: Tensor, body: Tensor, cameras: list[Came
 
 
 def distance(layer: SimulationLayer, rays: list[SilhouetteRays], x: Tensor) -> float:
-    """Eq. 1 of unit weight with the vertices that are nearest now, a mean over the pixels [m²]."""
+    """Mean over the pixels of Eq. 1 across the outline, with the vertices that are nearest now [m²]."""
     potential = SilhouettePotential(
-        Outline(layer.cloth.topology, layer.contact.body), rays, 1.0, 1.0, 0.1, x.numpy()
+        Outline(layer.cloth.topology, layer.contact.body), rays, 1.0, 0.0, 0.1, x.numpy()
     )
     return potential.total(x.numpy(), np.ones(x.shape)) / sum(len(view.directions) for view in rays)
 
