@@ -29,7 +29,7 @@ from toile.physics.implicit.integrators import BackwardEuler
 from toile.physics.implicit.newton import NewtonSettings
 from toile.physics.implicit.renewed import RenewedPotential, RenewedSum, RenewingSimulator
 from toile.physics.material import Material
-from toile.physics.simulator import StepStatus
+from toile.physics.simulator import SimulationError, StepStatus
 from toile.physics.state import State
 from toile.physics.step_terms import StepTerm
 
@@ -37,6 +37,9 @@ Array = NDArray[np.float64]
 
 GRAVITY = 9.81
 """Along -y [m/s²]."""
+
+DEEPEST_START = 0.005
+"""How deep in the body a garment may start a motion [m]: contact pushes it out, but not the sound way."""
 
 
 @dataclass(frozen=True)
@@ -295,7 +298,8 @@ class SimulationLayer:
             silhouettes: of every frame's views, for Eq. 1 in the step that ends there; none if None.
 
         Raises:
-            InputError: the body has another number of vertices than the layer's.
+            InputError: the body has another number of vertices than the layer's, or the garment starts in it.
+            SimulationError: positions are no longer finite.
         """
         body_positions = torch.as_tensor(body_positions, dtype=torch.float64)
         if body_positions.ndim != 3 or body_positions.shape[1] < self._n_body:
@@ -307,6 +311,7 @@ class SimulationLayer:
             )
         x = self.garment.rest_vertices.clone() if start is None else start.clone()
         v = torch.zeros_like(x) if velocities is None else velocities
+        self._check_start(x, body_positions[0])
         h = 1.0 / (fps * substeps)
         frames = [x]
         energies = [self._energies(x, v)]
@@ -323,6 +328,11 @@ class SimulationLayer:
                     step = self.step(x, v, body, next_body, h, silhouettes=seen)
                     x, v, body = step.positions, step.velocities, next_body
                     steps[-1].append(step)
+                    if not bool(torch.isfinite(x).all()):
+                        raise SimulationError(
+                            f"frame {frame}, sub-step {sub} of {substeps}: positions are not finite. Try "
+                            "more sub-steps or a slower motion."
+                        )
                 seconds.append(time.perf_counter() - begin)
                 frames.append(x)
                 energies.append(self._energies(x, v))
@@ -338,6 +348,18 @@ class SimulationLayer:
             seconds=np.array(seconds),
             velocities=v.numpy(),
         )
+
+    def _check_start(self, x: Tensor, body: Tensor) -> None:
+        self.contact.body.move(body.numpy())
+        distances = self.contact.surface(x.numpy()[self.contact.loose], self.settings.contact.reach).distances
+        deepest = -float(distances.min(initial=0.0))
+        if deepest > DEEPEST_START:
+            raise InputError(
+                "Garment starts inside the body",
+                where="frame 0",
+                expected=f"every vertex at most {1e3 * DEEPEST_START:g} mm deep",
+                got=f"{int((distances < -DEEPEST_START).sum())} deeper, the deepest {1e3 * deepest:.1f} mm",
+            )
 
     def _energies(self, x: Tensor, v: Tensor) -> tuple[float, float, float]:
         coefficients = self.cloth.energies.coefficients(self.material.values[0])

@@ -102,6 +102,13 @@ def test_a_body_of_another_size_is_told(swing) -> None:
         layer.simulate(bodies[:, :10], 30.0)
 
 
+def test_a_start_inside_the_body_is_told(swing) -> None:
+    layer, bodies, _ = swing
+    inside = layer.garment.rest_vertices - torch.tensor([0.05, 0.0, 0.0])
+    with pytest.raises(InputError, match="Garment starts inside the body"):
+        layer.simulate(bodies[:2], 30.0, start=inside)
+
+
 def touching_step():
     """A layer, and a step in the middle of the swing, where the cloth lies on the body and slides."""
     body, faces, garment = body_and_garment(12, 6, radii=(0.103, 0.103))
