@@ -57,6 +57,8 @@ def overrides(option: str) -> list[str]:
             return [f"fabric@garment.material={name}"]
         case ["simulator", "gradient"]:
             return ["simulator=surrogate", option]
+        case ["domain", "stage"]:
+            return ["domain=blender", option]
         case ["ablation_of", optimization]:
             return [f"optimization={optimization}", f"ablation={name}"]
     return [option]

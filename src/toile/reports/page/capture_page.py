@@ -219,7 +219,7 @@ def write_capture_page(clip: Path, view: int = 0, every: int = 1, report: Report
     if not 0 <= view < len(recording.views) or every < 1:
         raise InputError(
             "No such view",
-            where="view, keep_every",
+            where="view, every",
             expected=f"a camera from 0 to {len(recording.views) - 1}, every frame or fewer",
             got=f"{view}, {every}",
         )
