@@ -45,7 +45,7 @@ class CameraRing:
     distance: Annotated[Positive, Unit("m")] = 3.0
     height: Annotated[Positive, Unit("m")] = 1.1
     target: Annotated[Positive, Unit("m")] = 0.9
-    field_of_view: Annotated[Positive, Unit("degrees")] = 36.0
+    field_of_view: Annotated[Positive, Unit("degrees")] = 40.0
 
     def cameras(self) -> tuple[Camera, ...]:
         """The cameras, the first in front of the person, the others counter-clockwise from above."""
