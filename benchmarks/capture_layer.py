@@ -154,7 +154,7 @@ def run(garment_name: str, motion_name: str, vertices: int = VERTICES, frames: i
         "frames": frames,
         "converged_share": float(converged.mean()),
         "penetration_max_mm": 1e3 * abs(float(depths[:, 0].max())),
-        "penetration_body_through_cloth_mm": 1e3 * float(depths[:, 1].max()),
+        "penetration_body_through_cloth_mm": 1e3 * abs(float(depths[:, 1].max())),
         "waist_error_mm": 1e3 * float(max(chunk["waist"] for chunk in chunks)),
         "seconds_per_frame": float(cpu) / (frames - 1),
         "wall_seconds_per_frame": float(wall) / (frames - 1),
