@@ -44,9 +44,7 @@ def _page(cfg: DictConfig) -> None:
 
     for clip in clips_of(Path(str(cfg.run))):
         with Shown(log) as progress:
-            print_path(
-                write_capture_page(clip, view=int(cfg.view), every=int(cfg.every), report=progress)
-            )
+            print_path(write_capture_page(clip, view=int(cfg.view), every=int(cfg.every), report=progress))
 
 
 def _export(cfg: DictConfig) -> None:
