@@ -96,6 +96,10 @@ paper-recipe: setup ## The paper's recipe on R1, one factor at a time (hours): d
 base-law: setup ## Measure how far base laws miss cloth of an independent engine
 	$(BIN)/python benchmarks/base_law.py --side 16 --output docs/results/base_law.md
 
+.PHONY: capture-layer
+capture-layer: setup ## The simulation layer of moving garments (an hour): docs/results/capture_layer.csv; resumes
+	$(BIN)/python benchmarks/capture_layer.py
+
 .PHONY: session-ladder
 session-ladder: setup ## Where a diagnosis of several clips loses what they know (hours): docs/results/session_ladder.md; resumes
 	$(BIN)/python benchmarks/session_ladder.py

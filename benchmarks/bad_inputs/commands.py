@@ -28,6 +28,28 @@ CASES = [
     ),
     Case(GROUP, "generate: no such preset", ("generate", "preset=dmo"), says=("dmo", "demo")),
     Case(GROUP, "generate: no such template", ("generate", "template=R77"), says=("R77",)),
+    Case(GROUP, "subject without a file", ("subject",), says=("file",)),
+    Case(
+        GROUP,
+        "subject of a glTF file that is none",
+        ("subject", "body=gltf", "body.file=clip.mp4", "file=me.npz"),
+        says=("glTF", "clip.mp4"),
+    ),
+    Case(
+        GROUP, "garment longer than the legs", ("garment", "garment.length=2", "file=a.npz"), says=("length",)
+    ),
+    Case(
+        GROUP,
+        "garment from a mesh that is none",
+        ("garment", "garment=mesh", "garment.file=clip.mp4", "file=a.npz"),
+        says=("clip.mp4",),
+    ),
+    Case(
+        GROUP,
+        "garment for a person that is none",
+        ("garment", "subject=nobody", "file=a.npz"),
+        says=("nobody", "default"),
+    ),
     Case(
         GROUP,
         "a data folder that is none",

@@ -25,10 +25,12 @@ DELTAS = (
     "preset",
     "experiment",
     "debug",
+    "fabric",
     "diagnosis=quick",
     "diagnosis=fine",
     "blind=tiny",
     "blind=sessions",
+    "capture",
 )
 OPTIONS = sorted(
     f"{path.parent.relative_to(CONF).as_posix()}={path.stem}"
@@ -51,8 +53,12 @@ def overrides(option: str) -> list[str]:
     match group.split("/"):
         case ["windows"]:
             return [f"windows@optimization.stages.track.windows={name}"]
+        case ["fabric"]:
+            return [f"fabric@garment.material={name}"]
         case ["simulator", "gradient"]:
             return ["simulator=surrogate", option]
+        case ["domain", "stage"]:
+            return ["domain=blender", option]
         case ["ablation_of", optimization]:
             return [f"optimization={optimization}", f"ablation={name}"]
     return [option]

@@ -21,6 +21,8 @@ NEEDED = {
     "masks": ["video=clip.mp4"],
     "template": ["surface.file=scan.ply"],
     "blind": ["name=set", "action=make"],
+    "subject": ["file=person.npz"],
+    "garment": ["file=skirt.npz"],
     **{command: ["run=folder"] for command in ("evaluate", "report", "tables", "export")},
 }
 OF_SCENES = ("fit", "diagnose", "masks", "template", "doctor")

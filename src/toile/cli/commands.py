@@ -81,6 +81,25 @@ COMMANDS = {
         plain="run",
         aliases=(("diagnosis", "run"),),
     ),
+    "capture": Command(
+        "toile.cli.capture",
+        "make data of people in moving garments; show and export it",
+        "data preset=demo folder=<new folder>",
+        plain="action",
+        words=("data", "page", "export"),
+        aliases=(("preset", "capture"),),
+    ),
+    "subject": Command(
+        "toile.cli.subject",
+        "make a person to dress, from the body model anny or a skinned glTF file",
+        "body=gltf body.file=<file.glb> file=<new file.npz>",
+    ),
+    "garment": Command(
+        "toile.cli.garment",
+        "fit a skirt, a dress or a mesh of your own to a person",
+        "garment=dress garment.length=0.7 fabric=silk file=<new file.npz>",
+        aliases=(("fabric", "fabric@garment.material"),),
+    ),
     "doctor": Command("toile.cli.doctor", "look for what is wrong with a scene", "scene=R1"),
 }
 

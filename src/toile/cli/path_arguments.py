@@ -25,6 +25,7 @@ _PATHS = {
     "file",
     "folder",
     "key",
+    "mesh",
     "outputs",
     "output",
     "predictions",

@@ -43,6 +43,7 @@ COMMAND_SETTINGS: Mapping[str, Any] = {
     "n_frames": Frames | None,
     "start": Annotated[CountOrZero, Unit("frames")],
     "every": Frames,
+    "view": CountOrZero,
     "fps": Annotated[Positive, Unit("1/s")] | None,
     "times": Literal["recorded", "uniform"],
     "uniform_tolerance": Annotated[float, Field(ge=0, lt=0.5), Unit("of the interval")],

@@ -43,7 +43,7 @@ from toile.evaluation.target_points import target_points
 from toile.evaluation.vertices import VERTEX_PERCENT_PROTOCOL, VERTEX_PROTOCOL, vertex_error
 from toile.geometry.mesh import grid_faces
 from toile.rendering.base import RenderedImages, Renderer
-from toile.scenes.scene import Scene
+from toile.scenes.scene import Scene, require_one_camera
 
 NORMAL_SAMPLES = 2_000
 NORMAL_NEIGHBOURS = 50
@@ -199,9 +199,9 @@ def evaluate(
         out_of_balance: result of ``out_of_balance_force`` to report with the rest, or None.
 
     Raises:
-        InputError: the trajectory does not fit the scene or is not finite.
+        InputError: the trajectory does not fit the scene or is not finite, or several cameras saw it.
     """
-    n = _check(trajectory, scene, n_frames)
+    n = _check(trajectory, require_one_camera(scene), n_frames)
     x = trajectory[:n].detach().cpu().double()
     vertices, faces = x.reshape(n, -1, 3), grid_faces(*scene.grid)
     suffix = "" if n == scene.n_frames else f"; first {n} of {scene.n_frames} frames only"

@@ -1,7 +1,9 @@
-"""What every exporter takes: an animated, textured grid, and the conventions that all of them share."""
+"""What exporters take: animated meshes, a textured grid above all, and the conventions that all share."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,8 +19,96 @@ Y_UP = np.array([1.0, -1.0, -1.0])
 """OpenCV camera frame (x right, y down, z forward) to y up, z towards the viewer: half a turn about x."""
 
 
+class Animation(ABC):
+    """An animated mesh, as the exporters to one file see it.
+
+    Attributes:
+        fps: frames per second, the mean where they are unevenly spaced.
+        name: name of the object in the exported file.
+        times: of the frames (F,) [s], increasing; None for frame f at f / fps.
+    """
+
+    fps: float
+    name: str
+    times: npt.NDArray[np.float64] | None
+
+    @property
+    @abstractmethod
+    def n_frames(self) -> int:
+        """Number of frames F."""
+
+    @abstractmethod
+    def vertices(self, keep_camera_frame: bool = False) -> npt.NDArray[np.float64]:
+        """Vertex positions (F, V, 3) [m], y up unless a camera frame is to be kept."""
+
+    @abstractmethod
+    def polygons(self) -> npt.NDArray[np.int64]:
+        """Faces (P, 3) or (P, 4) as they are modelled."""
+
+    @abstractmethod
+    def triangles(self) -> npt.NDArray[np.int64]:
+        """Faces (T, 3)."""
+
+    def frame_times(self) -> npt.NDArray[np.float64]:
+        """Times of the frames (F,) [s]."""
+        return np.arange(self.n_frames) / self.fps if self.times is None else self.times
+
+    def uv(self, v_up: bool) -> npt.NDArray[np.float64] | None:
+        """Texture coordinates (V, 2), v up from the bottom or down from the top; None for none."""
+        return None
+
+    def png(self) -> bytes | None:
+        """The texture as PNG, or None."""
+        return None
+
+
 @dataclass(frozen=True)
-class ClothAnimation:
+class MeshAnimation(Animation):
+    """An animated triangle mesh without a texture; y up.
+
+    Attributes:
+        positions: (F, V, 3) [m], y up.
+        faces: (T, 3).
+        fps: frames per second.
+        name: name of the object in the exported file.
+        times: of the frames (F,) [s]; None for frame f at f / fps.
+    """
+
+    positions: npt.NDArray[np.floating]
+    faces: npt.NDArray[np.integer]
+    fps: float
+    name: str = "mesh"
+    times: npt.NDArray[np.float64] | None = None
+
+    def __post_init__(self) -> None:
+        x, faces = self.positions, self.faces
+        if x.ndim != 3 or x.shape[-1] != 3 or min(x.shape[:2]) < 1:
+            raise _bad("positions", "shape (F, V, 3) in metres with F >= 1", str(x.shape))
+        _check_numbers(x, self.fps, self.times)
+        good = faces.ndim == 2 and faces.shape[1] == 3 and len(faces) > 0
+        if not good or not 0 <= faces.min() <= faces.max() < x.shape[1]:
+            raise _bad("faces", f"shape (T, 3), indices below {x.shape[1]}", str(faces.shape))
+
+    @property
+    def n_frames(self) -> int:
+        """Number of frames F."""
+        return int(self.positions.shape[0])
+
+    def vertices(self, keep_camera_frame: bool = False) -> npt.NDArray[np.float64]:
+        """Vertex positions (F, V, 3) [m]; the world has y up already."""
+        return self.positions.astype(np.float64)
+
+    def polygons(self) -> npt.NDArray[np.int64]:
+        """Faces (T, 3)."""
+        return self.faces.astype(np.int64)
+
+    def triangles(self) -> npt.NDArray[np.int64]:
+        """Faces (T, 3)."""
+        return self.faces.astype(np.int64)
+
+
+@dataclass(frozen=True)
+class ClothAnimation(Animation):
     """An animated cloth grid; vertex (i, j) has index i * W + j in every export.
 
     Attributes:
@@ -41,15 +131,7 @@ class ClothAnimation:
         x = self.positions
         if x.ndim != 4 or x.shape[-1] != 3 or min(x.shape[:3]) < 1 or min(x.shape[1:3]) < 2:
             raise _bad("positions", "shape (F, H, W, 3) in metres with F >= 1 and H, W >= 2", str(x.shape))
-        if not np.isfinite(x).all():
-            raise _bad(
-                "positions", "finite numbers", f"{int((~np.isfinite(x)).sum())} that are NaN or infinite"
-            )
-        if not self.fps > 0:
-            raise _bad("fps", "a positive number", str(self.fps))
-        t = self.times
-        if t is not None and (t.shape != x.shape[:1] or not (np.diff(t) > 0).all()):
-            raise _bad("times", f"{len(x)} increasing numbers of seconds", str(t.tolist()))
+        _check_numbers(x, self.fps, self.times)
         uv = self.texture_coordinates
         if uv is not None and uv.shape != (*x.shape[1:3], 2):
             raise _bad("texture_coordinates", f"shape {(*x.shape[1:3], 2)}", str(uv.shape))
@@ -61,10 +143,6 @@ class ClothAnimation:
     def n_frames(self) -> int:
         """Number of frames F."""
         return int(self.positions.shape[0])
-
-    def frame_times(self) -> npt.NDArray[np.float64]:
-        """Times of the frames (F,) [s]."""
-        return np.arange(self.n_frames) / self.fps if self.times is None else self.times
 
     @property
     def grid(self) -> tuple[int, int]:
@@ -91,6 +169,10 @@ class ClothAnimation:
         corners = (index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1])
         return np.stack(corners, axis=-1).reshape(-1, 4)
 
+    def polygons(self) -> npt.NDArray[np.int64]:
+        """The quads."""
+        return self.quads()
+
     def triangles(self) -> npt.NDArray[np.int64]:
         """Triangles (2 (H - 1) (W - 1), 3), those of ``geometry.mesh.grid_faces``."""
         return grid_faces(*self.grid).numpy()
@@ -103,7 +185,27 @@ class ClothAnimation:
         return iio.imwrite("<bytes>", image, extension=".png")
 
 
-def write_texture(animation: ClothAnimation, path: Path) -> bool:
+def of_equal_length(animations: Animation | Sequence[Animation]) -> tuple[Animation, ...]:
+    """One animation or several that belong into one file.
+
+    Raises:
+        InputError: none, two of one name, or other frames than the first one's.
+    """
+    found = (animations,) if isinstance(animations, Animation) else tuple(animations)
+    if not found:
+        raise _bad("animations", "at least one", "none")
+    names = [a.name for a in found]
+    if len(set(names)) < len(names):
+        raise _bad("names", "a name of its own for every mesh", ", ".join(names))
+    first = found[0]
+    for other in found[1:]:
+        if other.fps != first.fps or not np.array_equal(other.frame_times(), first.frame_times()):
+            expected = f"{first.n_frames} frames at {first.fps:g} a second, as {first.name}"
+            raise _bad(other.name, expected, f"{other.n_frames} at {other.fps:g}")
+    return found
+
+
+def write_texture(animation: Animation, path: Path) -> bool:
     """Write the texture as PNG where there is one; says whether it did."""
     png = animation.png()
     if png is None:
@@ -111,6 +213,15 @@ def write_texture(animation: ClothAnimation, path: Path) -> bool:
     with written_atomically(path) as temporary:
         temporary.write_bytes(png)
     return True
+
+
+def _check_numbers(x: npt.NDArray[np.floating], fps: float, t: npt.NDArray[np.float64] | None) -> None:
+    if not np.isfinite(x).all():
+        raise _bad("positions", "finite numbers", f"{int((~np.isfinite(x)).sum())} that are NaN or infinite")
+    if not fps > 0:
+        raise _bad("fps", "a positive number", str(fps))
+    if t is not None and (t.shape != x.shape[:1] or not (np.diff(t) > 0).all()):
+        raise _bad("times", f"{len(x)} increasing numbers of seconds", str(t.tolist()))
 
 
 def _bad(where: str, expected: str, got: str) -> InputError:

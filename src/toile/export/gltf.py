@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import numpy.typing as npt
 import torch
 
 from toile.atomic_file import written_atomically
-from toile.export.animation import ClothAnimation
+from toile.export.animation import Animation, of_equal_length
 from toile.geometry.mesh import vertex_normals
 
 FLOAT, UNSIGNED_INT = 5126, 5125
@@ -60,22 +61,54 @@ class _BinaryBuffer:
         return len(self.accessors) - 1
 
 
-def export_gltf(animation: ClothAnimation, path: Path, *, keep_camera_frame: bool = False) -> Path:
-    """Write one ``.glb`` file with mesh, normals, texture and the whole motion.
+def export_gltf(
+    animation: Animation | Sequence[Animation], path: Path, *, keep_camera_frame: bool = False
+) -> Path:
+    """Write one ``.glb`` file with meshes, normals, textures and the whole motion.
 
     Frame f is reached by weight 1 of morph target f − 1; the sampler interpolates linearly, so between two
-    frames the vertices move on straight lines. Vertices keep the order i * W + j; faces are triangles, both
-    sides visible. glTF is y up and metres by definition.
+    frames the vertices move on straight lines. Vertices keep their order; faces are triangles, both sides
+    visible. glTF is y up and metres by definition. Several meshes share one animation, one node each.
 
     Args:
-        animation: what to export.
+        animation: what to export; several, e.g. body and garment, of the same frames.
         path: file to write.
         keep_camera_frame: keep the OpenCV camera frame (y down, which viewers will show upside down).
     """
+    animations = of_equal_length(animation)
+    buffer = _BinaryBuffer()
+    document: dict[str, Any] = {
+        "asset": {"version": "2.0", "generator": "toile"},
+        "scene": 0,
+        "scenes": [{"nodes": list(range(len(animations)))}],
+        "nodes": [{"name": one.name, "mesh": k} for k, one in enumerate(animations)],
+        "meshes": [],
+        "materials": [],
+    }
+    moving: dict[str, Any] = {"name": "motion", "samplers": [], "channels": []}
+    for one in animations:
+        _add_mesh(one, document, moving, buffer, keep_camera_frame)
+    if moving["samplers"]:
+        document["animations"] = [moving]
+    document["accessors"], document["bufferViews"] = buffer.accessors, buffer.views
+    document["buffers"] = [{"byteLength": len(buffer.data)}]
+    with written_atomically(path) as temporary:
+        temporary.write_bytes(_container(document, bytes(buffer.data)))
+    return path
+
+
+def _add_mesh(
+    animation: Animation,
+    document: dict[str, Any],
+    moving: dict[str, Any],
+    buffer: _BinaryBuffer,
+    keep_camera_frame: bool,
+) -> None:
+    """Add mesh, material, texture and motion of one animation, whose node is there already."""
+    number = len(document["meshes"])
     vertices = animation.vertices(keep_camera_frame).astype(np.float32).astype(np.float64)
     faces = torch.from_numpy(animation.triangles())
     normals = vertex_normals(torch.from_numpy(vertices), faces).numpy()
-    buffer = _BinaryBuffer()
     attributes = {
         "POSITION": buffer.add_array(vertices[0], "VEC3", ARRAY_BUFFER, bounds=True),
         "NORMAL": buffer.add_array(normals[0], "VEC3", ARRAY_BUFFER),
@@ -86,23 +119,21 @@ def export_gltf(animation: ClothAnimation, path: Path, *, keep_camera_frame: boo
     primitive: dict[str, Any] = {
         "attributes": attributes,
         "indices": buffer.add_array(animation.triangles().reshape(-1), "SCALAR", ELEMENT_ARRAY_BUFFER),
-        "material": 0,
+        "material": number,
         "mode": 4,
     }
     surface: dict[str, Any] = {"metallicFactor": 0.0, "roughnessFactor": 0.9}
-    document: dict[str, Any] = {
-        "asset": {"version": "2.0", "generator": "toile"},
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"name": animation.name, "mesh": 0}],
-        "meshes": [{"name": animation.name, "primitives": [primitive]}],
-        "materials": [{"name": animation.name, "pbrMetallicRoughness": surface, "doubleSided": True}],
-    }
+    document["meshes"].append({"name": animation.name, "primitives": [primitive]})
+    document["materials"].append(
+        {"name": animation.name, "pbrMetallicRoughness": surface, "doubleSided": True}
+    )
     if png is not None:
-        document["images"] = [{"bufferView": buffer.add_bytes(png), "mimeType": "image/png"}]
-        document["samplers"] = [{"wrapS": CLAMP_TO_EDGE, "wrapT": CLAMP_TO_EDGE}]
-        document["textures"] = [{"source": 0, "sampler": 0}]
-        surface["baseColorTexture"] = {"index": 0}
+        images = document.setdefault("images", [])
+        images.append({"bufferView": buffer.add_bytes(png), "mimeType": "image/png"})
+        document.setdefault("samplers", [{"wrapS": CLAMP_TO_EDGE, "wrapT": CLAMP_TO_EDGE}])
+        textures = document.setdefault("textures", [])
+        textures.append({"source": len(images) - 1, "sampler": 0})
+        surface["baseColorTexture"] = {"index": len(textures) - 1}
     n_targets = animation.n_frames - 1
     if n_targets:
         primitive["targets"] = [
@@ -112,27 +143,18 @@ def export_gltf(animation: ClothAnimation, path: Path, *, keep_camera_frame: boo
             }
             for f in range(1, animation.n_frames)
         ]
-        document["meshes"][0]["weights"] = [0.0] * n_targets
-        times = animation.frame_times()
+        document["meshes"][number]["weights"] = [0.0] * n_targets
         weights = np.eye(animation.n_frames, n_targets, k=-1)
-        document["animations"] = [
+        moving["channels"].append(
+            {"sampler": len(moving["samplers"]), "target": {"node": number, "path": "weights"}}
+        )
+        moving["samplers"].append(
             {
-                "name": "motion",
-                "samplers": [
-                    {
-                        "input": buffer.add_array(times, "SCALAR", bounds=True),
-                        "output": buffer.add_array(weights.reshape(-1), "SCALAR"),
-                        "interpolation": "LINEAR",
-                    }
-                ],
-                "channels": [{"sampler": 0, "target": {"node": 0, "path": "weights"}}],
+                "input": buffer.add_array(animation.frame_times(), "SCALAR", bounds=True),
+                "output": buffer.add_array(weights.reshape(-1), "SCALAR"),
+                "interpolation": "LINEAR",
             }
-        ]
-    document["accessors"], document["bufferViews"] = buffer.accessors, buffer.views
-    document["buffers"] = [{"byteLength": len(buffer.data)}]
-    with written_atomically(path) as temporary:
-        temporary.write_bytes(_container(document, bytes(buffer.data)))
-    return path
+        )
 
 
 def _container(document: dict[str, Any], binary: bytes) -> bytes:

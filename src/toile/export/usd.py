@@ -1,7 +1,8 @@
-"""OpenUSD: one mesh with time-sampled points and a preview material."""
+"""OpenUSD: meshes with time-sampled points and preview materials."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -9,49 +10,79 @@ from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdShade, Vt
 
 from toile.atomic_file import written_atomically
 from toile.errors import InputError
-from toile.export.animation import ClothAnimation, write_texture
+from toile.export.animation import Animation, of_equal_length, write_texture
 
 SUFFIXES = (".usd", ".usda", ".usdc")
 
 
-def export_usd(animation: ClothAnimation, path: Path, *, keep_camera_frame: bool = False) -> Path:
-    """Write a USD stage with the motion as time samples, frame f at time code f; the texture goes beside it.
+def export_usd(
+    animation: Animation | Sequence[Animation], path: Path, *, keep_camera_frame: bool = False
+) -> Path:
+    """Write a USD stage with the motion as time samples, frame f at time code f; textures go beside it.
 
     Frames that are unevenly spaced are at the time codes times · fps, which are no whole numbers then.
 
-    The mesh has quads, vertex order i * W + j, no subdivision, both sides visible; metersPerUnit is 1,
-    timeCodesPerSecond the frame rate, and the texture coordinates are ``primvars:st`` (v up).
+    The mesh has its own polygons (quads of a grid, vertex order i * W + j), no subdivision, both sides
+    visible; metersPerUnit is 1, timeCodesPerSecond the frame rate, and the texture coordinates are
+    ``primvars:st`` (v up). Several meshes stand side by side below /scene.
 
     Args:
-        animation: what to export.
+        animation: what to export; several, e.g. body and garment, of the same frames.
         path: file to write, .usd or .usdc (binary) or .usda (text).
         keep_camera_frame: keep the OpenCV camera frame (y down, which viewers will show upside down).
 
     Raises:
-        InputError: another suffix.
+        InputError: another suffix, or animations that do not fit together.
     """
     if path.suffix not in SUFFIXES:
         raise InputError(
             "Not a USD file name", where=str(path), expected=" or ".join(SUFFIXES), got=path.suffix
         )
+    animations = of_equal_length(animation)
+    first = animations[0]
     stage = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-    stage.SetTimeCodesPerSecond(animation.fps)
-    stage.SetFramesPerSecond(animation.fps)
+    stage.SetTimeCodesPerSecond(first.fps)
+    stage.SetFramesPerSecond(first.fps)
     stage.SetStartTimeCode(0)
-    codes: list[float] = list(range(animation.n_frames))
-    if animation.times is not None:
-        codes = (animation.times * animation.fps).tolist()
+    codes: list[float] = list(range(first.n_frames))
+    if first.times is not None:
+        codes = (first.times * first.fps).tolist()
     stage.SetEndTimeCode(codes[-1])
 
-    name = Tf.MakeValidIdentifier(animation.name)
-    root = UsdGeom.Xform.Define(stage, f"/{name}")
-    stage.SetDefaultPrim(root.GetPrim())
-    mesh = UsdGeom.Mesh.Define(stage, f"/{name}/mesh")
-    quads = animation.quads()
-    mesh.CreateFaceVertexCountsAttr(Vt.IntArray([4] * len(quads)))
-    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(quads.reshape(-1).astype(np.int32)))
+    if len(animations) == 1:
+        place = f"/{Tf.MakeValidIdentifier(first.name)}"
+        stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, place).GetPrim())
+        texture = path.with_name(f"{path.stem}_texture.png")
+        _add_mesh(stage, place, "mesh", first, codes, texture, keep_camera_frame)
+    else:
+        stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/scene").GetPrim())
+        for one in animations:
+            name = Tf.MakeValidIdentifier(one.name)
+            UsdGeom.Xform.Define(stage, f"/scene/{name}")
+            texture = path.with_name(f"{path.stem}_{name}_texture.png")
+            # Importers call an object after its mesh.
+            _add_mesh(stage, f"/scene/{name}", name, one, codes, texture, keep_camera_frame)
+    with written_atomically(path) as temporary:
+        stage.GetRootLayer().Export(str(temporary))
+    return path
+
+
+def _add_mesh(
+    stage: Usd.Stage,
+    place: str,
+    name: str,
+    animation: Animation,
+    codes: Sequence[float],
+    texture: Path,
+    keep_camera_frame: bool,
+) -> None:
+    """Define mesh and material below a prim that exists; write the texture, if there is one."""
+    mesh = UsdGeom.Mesh.Define(stage, f"{place}/{name}")
+    polygons = animation.polygons()
+    mesh.CreateFaceVertexCountsAttr(Vt.IntArray([polygons.shape[1]] * len(polygons)))
+    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(polygons.reshape(-1).astype(np.int32)))
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     mesh.CreateDoubleSidedAttr(True)
     points, extent = mesh.CreatePointsAttr(), mesh.CreateExtentAttr()
@@ -65,13 +96,8 @@ def export_usd(animation: ClothAnimation, path: Path, *, keep_camera_frame: bool
         primvars = UsdGeom.PrimvarsAPI(mesh)
         st = primvars.CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex)
         st.Set(Vt.Vec2fArray.FromNumpy(uv.astype(np.float32)))
-    texture = path.with_name(f"{path.stem}_texture.png")
     textured = write_texture(animation, texture)
-    _bind_material(stage, mesh, f"/{name}/material", f"./{texture.name}" if textured else None)
-
-    with written_atomically(path) as temporary:
-        stage.GetRootLayer().Export(str(temporary))
-    return path
+    _bind_material(stage, mesh, f"{place}/material", f"./{texture.name}" if textured else None)
 
 
 def _bind_material(stage: Usd.Stage, mesh: UsdGeom.Mesh, path: str, texture: str | None) -> None:

@@ -118,7 +118,7 @@ class LinearizableSimulator(Simulator):
         stiffness = self.cloth.energies.coefficients(material.values)
         starts = self._starts(state, material, forces, boundary, guess)
         contexts = self._contexts(state, material, boundary)
-        scenes = [SceneTerms.of(self.terms, now) for now in contexts] or [SceneTerms()] * len(forces)
+        scenes = self._scenes(contexts, len(forces))
         inertia = self._inertia(formula)
         solutions = self._solve(
             starts.numpy(),
@@ -136,7 +136,7 @@ class LinearizableSimulator(Simulator):
                 for solution, now in zip(solutions, contexts, strict=True)
             ]
         found = torch.from_numpy(np.stack([s.positions for s in solutions]))
-        forces = self._with_hidden_gradients(forces, contexts, formula, prediction, found)
+        forces = self._with_hidden_gradients(forces, state, contexts, formula, prediction, found)
         positions = self._with_gradients(
             state, inertia, solutions, scenes, found, prediction, stiffness, forces, boundary
         )
@@ -194,9 +194,14 @@ class LinearizableSimulator(Simulator):
             for b in range(len(boundary))
         ]
 
+    def _scenes(self, contexts: Sequence[StepContext], n: int) -> list[SceneTerms]:
+        """What acts within the step in each of n scenes."""
+        return [SceneTerms.of(self.terms, now) for now in contexts] or [SceneTerms()] * n
+
     def _with_hidden_gradients(
         self,
         forces: Tensor,
+        state: State,
         contexts: list[StepContext],
         formula: Formula,
         prediction: Tensor,

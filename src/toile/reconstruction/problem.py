@@ -18,14 +18,14 @@ from toile.physics.state import State
 from toile.reconstruction.effects import FitEffects
 from toile.reconstruction.parameters import ClothParameters
 from toile.rendering.base import Renderer
-from toile.scenes.scene import Scene
+from toile.scenes.scene import Scene, require_one_camera
 
 
 class Reconstruction:
     """What every recipe works on.
 
     Args:
-        scene: see Scene; its ground truth is never read here.
+        scene: see Scene, of one camera; its ground truth is never read here.
         cloth: elements, rest shape and masses.
         make_simulator: builds the simulator from (cloth, sub-step [s]), and ``terms`` where there are any.
         substeps: sub-steps per frame, or which lie between which frames where those are unevenly spaced.
@@ -49,7 +49,7 @@ class Reconstruction:
         renderer: Renderer,
         effects: FitEffects | None = None,
     ) -> None:
-        self.scene = scene
+        self.scene = require_one_camera(scene)
         self.cloth = cloth
         self.frame_steps = _frame_steps(substeps, scene)
         self.simulator = make_simulator(cloth, 1 / scene.fps / self.frame_steps.per_frame)

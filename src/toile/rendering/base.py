@@ -70,7 +70,8 @@ class Renderer(ABC):
         Differentiable with respect to ``vertices``, ``texture_coordinates`` and ``texture``.
 
         Args:
-            vertices: positions (B, V, 3) [m], camera frame (x right, y down, z forward), float32 or float64.
+            vertices: positions (B, V, 3) [m], float32 or float64; in the world, which is the camera frame
+                (x right, y down, z forward) where the camera has no pose.
             faces: vertex indices (T, 3), int64.
             texture_coordinates: (V, 2), (u, v) in [0, 1], u to the right and v down from the top-left corner.
             texture: colours (h_t, w_t, 3), row 0 on top.
@@ -93,7 +94,8 @@ class Renderer(ABC):
         for name, tensor in (("texture_coordinates", texture_coordinates), ("texture", texture)):
             if tensor.device != vertices.device:
                 raise _wrong(name, f"a tensor on {vertices.device}, like vertices", tensor)
-        return self._render(vertices, faces, texture_coordinates, texture, camera)
+        seen = camera.from_world(vertices)
+        return self._render(seen, faces, texture_coordinates, texture, camera.at_origin())
 
     def rasterize(self, vertices: Tensor, faces: Tensor, camera: Camera) -> Fragments:
         """Find the nearest face under each pixel centre.
@@ -104,24 +106,24 @@ class Renderer(ABC):
             InputError: an argument has the wrong shape, dtype, device, or an index out of range.
         """
         _check_mesh(vertices, faces, camera)
-        return self._rasterize(vertices.detach(), faces, camera)
+        return self._rasterize(camera.from_world(vertices.detach()), faces, camera.at_origin())
 
     @abstractmethod
     def _render(
         self, vertices: Tensor, faces: Tensor, texture_coordinates: Tensor, texture: Tensor, camera: Camera
     ) -> RenderedImages:
-        """``render`` on checked arguments."""
+        """``render`` on checked arguments; vertices in the camera frame."""
 
     @abstractmethod
     def _rasterize(self, vertices: Tensor, faces: Tensor, camera: Camera) -> Fragments:
-        """``rasterize`` on checked arguments."""
+        """``rasterize`` on checked arguments; vertices in the camera frame."""
 
 
 def to_screen(vertices: Tensor, camera: Camera) -> Tensor:
-    """Project (B, V, 3) [m] to (x [px], y [px], z [m]); differentiable, in the precision of the input.
+    """Project (B, V, 3) [m], camera frame, to (x [px], y [px], z [m]); differentiable.
 
-    A vertex at z <= NEAR gets (0, 0, 0), with zero
-    gradient: the mark by which the later stages skip its faces.
+    In the precision of the input. A vertex at z <= NEAR gets (0, 0, 0), with zero gradient: the mark by which
+    the later stages skip its faces.
     """
     in_front = vertices[..., 2:] > NEAR
     # Replaced before the division, so that neither the value nor the gradient is ever inf or nan.

@@ -27,7 +27,7 @@ def visible_points(
 
     Args:
         fragments: what ``Renderer.rasterize`` returned for these vertices, faces and camera.
-        vertices: (B, V, 3) [m], camera frame.
+        vertices: (B, V, 3) [m].
         faces: (T, 3), int64.
         camera: the camera of ``fragments``.
         point_faces: face on which each point lies (P,), int64.
@@ -55,13 +55,13 @@ def visible_points(
             expected="shapes (P,) and (P, 3)",
             got=f"{tuple(point_faces.shape)} and {tuple(point_barycentrics.shape)}",
         )
-    vertices = vertices.detach().double()
+    vertices = camera.from_world(vertices.detach().double())
     weights = point_barycentrics.to(vertices)
     points = (vertices[:, faces[point_faces]] * weights[..., None]).sum(-2)  # (B, P, 3)
     in_front = points[..., 2] > NEAR
     points = torch.where(in_front[..., None], points, torch.ones_like(points))
 
-    pixel = camera.project(points)
+    pixel = camera.at_origin().project(points)
     column, row = pixel.floor().unbind(-1)
     inside = in_front & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
     frame = torch.arange(len(vertices), device=vertices.device)[:, None]

@@ -6,9 +6,10 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
+from toile.scenes.easymocap import is_easymocap, survey_easymocap
 from toile.scenes.findings import Finding, Severity, attempt, has_errors
 from toile.scenes.fitness import check_fit
-from toile.scenes.native import survey_native
+from toile.scenes.native import is_multi_view, survey_multi_view, survey_native
 from toile.scenes.phi_sft import survey_phi_sft
 from toile.scenes.picture_checks import PictureChecks
 from toile.scenes.recording import (
@@ -41,7 +42,13 @@ def diagnose_location(location: SceneLocation) -> list[Finding]:
 
 
 def diagnose_folder(folder: Path | str) -> list[Finding]:
-    """Diagnose a folder in the native layout, errors first."""
+    """Diagnose a folder in the native layout, or a recording by several cameras; errors first."""
+    folder = Path(folder)
+    if is_multi_view(folder):
+        return _in_order(survey_multi_view(folder)[1])
+    if is_easymocap(folder) and not (folder / "scene.json").exists():
+        # The frame rate is an argument of the loader there; nothing that is checked depends on it.
+        return _in_order(survey_easymocap(folder, fps=1.0)[1])
     return _diagnose(lambda check: survey_native(folder, check_images=check))
 
 

@@ -18,13 +18,17 @@ Keys of ``scene.json``:
 - ``gravity``: [m/s²]; ``cloth_size_m``: [along axis 0, along axis 1]; ``grid``: [H, W]
 - ``pinned_vertices``: indices i * W + j, may be empty
 - ``units``: a text that says "metres"
-- optional: ``times`` (of the frames [s], increasing, the first 0; without it they are evenly spaced at
+- optional: ``cameras`` (all calibrated cameras of a recording by several, see native_views; the first is the
+  one that ``K``, ``image_size`` and ``files`` describe) and ``landmarks`` (names of their 2D landmarks);
+  ``times`` (of the frames [s], increasing, the first 0; without it they are evenly spaced at
   ``fps``, with it ``fps`` is the mean rate), ``id`` (name of the scene), ``convention`` (text for people),
   ``files`` (other paths for "template", "texture", "rgb", "mask", in this folder also after links have been
   followed), ``crop`` ([top, left]) and ``original_size`` ([height, width]) if the images were cut from larger
   ones; ``K`` always belongs to the images in the folder.
 
-Everything is in the OpenCV camera frame (x right, y down, z forward, metres), so nothing is converted here.
+Everything is in the OpenCV camera frame (x right, y down, z forward, metres), so nothing is converted here
+but the poses of further cameras, which are made relative to the first. A recording by several cameras may
+lack what belongs to a grid of cloth (all but ``fps``, ``n_frames``, ``units``, ``cameras``): a MultiView.
 """
 
 from __future__ import annotations
@@ -39,7 +43,7 @@ from typing import Annotated, Any
 
 import numpy as np
 import torch
-from pydantic import AfterValidator, BeforeValidator, ConfigDict, TypeAdapter, ValidationError
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError
 from torch import Tensor
 
 from toile.errors import InputError
@@ -50,8 +54,18 @@ from toile.json_file import place, read_json_object
 from toile.limits import Count, CountOrZero, Finite, Positive, TwoOrMore
 from toile.scenes.atomic_folder import folder_written_atomically
 from toile.scenes.findings import Finding, Severity, attempt, has_errors, require
+from toile.scenes.folder_files import inside, sequence
 from toile.scenes.frame_times import check_number_of_frames, check_spacing, check_times, settled
 from toile.scenes.images import numbered_files, read_rgb, write_image
+from toile.scenes.native_views import (
+    EXPECTED,
+    CameraEntry,
+    copy_view,
+    entry_of,
+    read_views,
+    view_files,
+    without_skew,
+)
 from toile.scenes.recording import ImageCheck, Recording, check_image_files, limited, to_scene
 from toile.scenes.scene import Scene
 from toile.scenes.texture_coordinates import Texturing, from_file
@@ -62,6 +76,8 @@ from toile.scenes.validation import (
     check_template,
     check_timing,
 )
+from toile.scenes.view_checks import check_views
+from toile.scenes.views import MultiView, View
 
 FILES = {
     "template": "template.obj",
@@ -71,7 +87,6 @@ FILES = {
 }
 # A path with one number, of any sensible width.
 _NUMBERED = re.compile(r"[^%]*%0?[0-9]{0,2}d[^%]*")
-_MOST_MISSING = 20  # images, until no more are looked for
 CONVENTION = (
     "OpenCV camera coordinates: x right, y down, z forward, metres; camera at the origin. Pixel = K (X / Z), "
     "(0, 0) at the top-left image corner. Grid vertex index = i * W + j. template.obj vt = (u, v), v "
@@ -157,6 +172,15 @@ def write_native(scene: Scene, folder: Path | str, *, overwrite: bool = False) -
     return folder
 
 
+def is_multi_view(folder: Path) -> bool:
+    """Whether the native scene in a folder is a recording by several cameras without a cloth."""
+    try:
+        description = read_json_object(folder / "scene.json")
+    except (OSError, ValueError):
+        return False
+    return "cameras" in description and "grid" not in description
+
+
 def survey_native(
     folder: Path | str, *, n_frames: int | None = None, check_images: ImageCheck = check_image_files
 ) -> tuple[Recording | None, list[Finding]]:
@@ -176,6 +200,11 @@ def survey_native(
     if description is None:
         return None, findings
     path = folder / "scene.json"
+    if "cameras" in description and "grid" not in description:
+        got = "cameras, but no grid: a recording by several cameras"
+        expected = "a cloth with a template; load_multi_view reads such a recording"
+        findings.append(Finding(Severity.ERROR, "Scene has no cloth", str(path), expected, got))
+        return None, findings
     findings += [
         Finding(
             Severity.ERROR,
@@ -209,7 +238,7 @@ def survey_native(
         n = attempt(findings, lambda: limited(values["n_frames"], n_frames, str(folder)))
         if n is not None:
             paths = attempt(
-                findings, lambda: tuple(_sequence(folder, files[key], n) for key in ("rgb", "mask"))
+                findings, lambda: tuple(sequence(folder, files[key], n) for key in ("rgb", "mask"))
             )
             frame_paths, mask_paths = paths or ((), ())
         if size is not None:
@@ -224,8 +253,8 @@ def survey_native(
             times, fps = settled(times[: len(frame_paths) or None], fps)
             findings += check_spacing(times, str(path))
 
-    texture = attempt(findings, lambda: read_rgb(_inside(folder, files["texture"])))
-    mesh = attempt(findings, lambda: read_mesh(_inside(folder, files["template"])))
+    texture = attempt(findings, lambda: read_rgb(inside(folder, files["texture"])))
+    mesh = attempt(findings, lambda: read_mesh(inside(folder, files["template"])))
     template = coordinates = None
     if mesh is not None and grid is not None:
         where = str(folder / files["template"])
@@ -244,6 +273,12 @@ def survey_native(
     if grid is not None and values.get("pinned_vertices") is not None:
         findings += check_pinned_vertices(values["pinned_vertices"], grid, str(path))
     clouds = attempt(findings, lambda: find_point_clouds(folder / "ground_truth"))
+    views: tuple[View, ...] = ()
+    if values.get("cameras") and camera is not None and frame_paths:
+        several = MultiView(
+            folder.name, (), fps=1.0, landmark_names=values.get("landmarks") or (), source=folder
+        )
+        views = _further_views(several, values["cameras"], camera, len(frame_paths), findings)
     if has_errors(findings) or camera is None or template is None or texture is None or coordinates is None:
         return None, findings
     true_vertices = folder / "ground_truth" / "vertices.npy"
@@ -265,8 +300,100 @@ def survey_native(
         crop=values.get("crop") or (0, 0),
         original_size=values.get("original_size") or (camera.height, camera.width),
         times=times,
+        views=views,
     )
     return recording, findings
+
+
+def survey_multi_view(
+    folder: Path | str, *, n_frames: int | None = None
+) -> tuple[MultiView | None, list[Finding]]:
+    """Read the cameras of a scene, with or without a cloth, and collect what is wrong; no image is decoded.
+
+    Args:
+        folder: with scene.json, which holds ``cameras``.
+        n_frames: consider only the first frames; None for all.
+
+    Returns:
+        The recording, in the world of its poses, or None if anything needed for it failed, and all findings.
+    """
+    folder = Path(folder)
+    findings: list[Finding] = []
+    description = attempt(findings, lambda: _read_description(folder))
+    if description is None:
+        return None, findings
+    path = folder / "scene.json"
+    needed = ("fps", "n_frames", "units", "cameras")
+    keys = {**_REQUIRED, **_OPTIONAL}
+    for key in needed:
+        if key not in description:
+            got = f"keys {', '.join(description) or 'none'}"
+            expected = f"'{key}': {keys[key][1]}"
+            findings.append(Finding(Severity.ERROR, f"Key '{key}' is missing", str(path), expected, got))
+    values: dict[str, Any] = {
+        key: attempt(findings, partial(_understood, path, key, description[key]))
+        for key in (*needed, "gravity", "landmarks", "id")
+        if key in description
+    }
+    if has_errors(findings):
+        return None, findings
+    n = attempt(findings, lambda: limited(values["n_frames"], n_frames, str(folder)))
+    if n is None:
+        return None, findings
+    views, found = read_views(folder, values["cameras"], n)
+    findings += found
+    recording = MultiView(
+        name=str(values.get("id") or folder.resolve().name),
+        views=views,
+        fps=values["fps"],
+        landmark_names=tuple(values.get("landmarks") or ()),
+        source=folder,
+    )
+    if "gravity" in values:
+        recording = replace(recording, gravity=torch.tensor(values["gravity"], dtype=torch.float64))
+    if not has_errors(findings):
+        findings += check_views(recording)
+    return (None if has_errors(findings) else recording), findings
+
+
+def write_multi_view_description(
+    recording: MultiView, folder: Path, files: Sequence[Mapping[str, str]]
+) -> None:
+    """Write ``scene.json`` of a recording without a cloth into a folder that exists.
+
+    Args:
+        recording: its images are not written.
+        folder: target.
+        files: of each view, by the names of ``native_views.CAMERA_FILES``.
+    """
+    description = {
+        "id": recording.name,
+        "fps": recording.fps,
+        "n_frames": recording.n_frames,
+        "gravity": recording.gravity.tolist(),
+        "units": "metres, seconds",
+        "convention": "World right-handed, y up; OpenCV camera frame x_cam = R x + t; pixel = K (X / Z)",
+        "landmarks": list(recording.landmark_names),
+        "cameras": [entry_of(view, own) for view, own in zip(recording.views, files, strict=True)],
+    }
+    (folder / "scene.json").write_text(json.dumps(description, indent=1) + "\n")
+
+
+def _further_views(
+    several: MultiView, entries: Sequence[CameraEntry], camera: Camera, n: int, findings: list[Finding]
+) -> tuple[View, ...]:
+    """All cameras but the first, in whose frame the scene is."""
+    assert several.source is not None
+    where = f"{several.source / 'scene.json'}: cameras"
+    first = entries[0].camera
+    if first.at_origin() != camera:
+        expected, got = f"K and image_size of the scene, {camera}", str(first.at_origin())
+        findings.append(Finding(Severity.ERROR, "First camera is not the scene's", where, expected, got))
+        return ()
+    views, found = read_views(several.source, entries, n)
+    findings += found
+    findings += check_views(replace(several, views=views))
+    return tuple(replace(view, camera=view.camera.relative_to(first)) for view in views[1:])
 
 
 def grid_texture_coordinates(mesh: PolygonMesh, grid: tuple[int, int], where: str) -> Tensor:
@@ -361,17 +488,6 @@ def _adapter(key: str) -> TypeAdapter[Any]:
     return TypeAdapter({**_REQUIRED, **_OPTIONAL}[key][0], config=ConfigDict(strict=True))
 
 
-def _without_skew(K: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
-    (_, skew, _), (lower, _, _), last = K
-    if last != (0, 0, 1):
-        raise ValueError(
-            "the last row is not 0 0 1; K may be transposed" if last[0] or last[1] else "K[2][2] is not 1"
-        )
-    if skew or lower:
-        raise ValueError("skew is not supported")
-    return K
-
-
 def _metres(units: str) -> str:
     if not {"m", "metres", "meters"}.intersection(word.strip(",;.") for word in units.split()):
         raise ValueError(
@@ -400,7 +516,7 @@ _REQUIRED: Mapping[str, tuple[Any, str]] = {
     "n_frames": (Annotated[Count, _WHOLE], "number of frames, a whole number > 0"),
     "image_size": (_Pixels, "[height, width] in px"),
     "K": (
-        Annotated[tuple[_Row, _Row, _Row], AfterValidator(_without_skew)],
+        Annotated[tuple[_Row, _Row, _Row], AfterValidator(without_skew)],
         "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in px, finite",
     ),
     "gravity": (_Row, "[x, y, z] in m/s², finite"),
@@ -420,37 +536,10 @@ _OPTIONAL: Mapping[str, tuple[Any, str]] = {
     "crop": (tuple[Annotated[int, _WHOLE], Annotated[int, _WHOLE]], "[top, left] in px"),
     "original_size": (_Original, "[height, width] in px"),
     "id": (Annotated[str, BeforeValidator(str)], "name of the scene"),
+    "cameras": (Annotated[tuple[CameraEntry, ...], Field(min_length=1)], EXPECTED),
+    "landmarks": (tuple[str, ...], "names of the 2D landmarks of every camera"),
     "times": (tuple[Finite, ...], "list of the frames' times in s, increasing, the first 0"),
 }
-
-
-def _sequence(folder: Path, pattern: str, n: int) -> tuple[Path, ...]:
-    """Files 0 ... n - 1; fewer if many of them are missing, since n may be anything."""
-    paths: list[Path] = []
-    missing = 0
-    for k in range(n):
-        paths.append(_inside(folder, pattern % k))
-        missing += not paths[-1].is_file()
-        if missing == _MOST_MISSING:
-            break
-    return tuple(paths)
-
-
-def _inside(folder: Path, name: str) -> Path:
-    """The file of that name in a folder.
-
-    Raises:
-        InputError: it lies elsewhere. A scene may come from anybody, and what it shows ends up in pages.
-    """
-    path = folder / name
-    if not path.resolve().is_relative_to(folder.resolve()):
-        raise InputError(
-            "A file of the scene lies outside its folder",
-            where=str(path),
-            expected="a file in the folder of scene.json, also after links in it; the folder may be a link",
-            got=str(path.resolve()),
-        )
-    return path
 
 
 def _surplus(folder: Path, files: dict[str, str], n: int) -> list[Finding]:
@@ -494,6 +583,7 @@ def write_without_images(
         "original_size": list(scene.original_size),
         "convention": CONVENTION,
         "files": FILES,
+        **_cameras(scene),
     }
     (folder / "scene.json").write_text(json.dumps(description, indent=1) + "\n")
     k = torch.arange(H * W).reshape(H, W)
@@ -507,7 +597,19 @@ def write_without_images(
     write_image(folder / FILES["texture"], scene.texture)
 
 
+def _cameras(scene: Scene) -> dict[str, Any]:
+    """The key ``cameras`` of a scene with several."""
+    if not scene.views:
+        return {}
+    own = entry_of(View("0", scene.camera), {key: FILES[key] for key in ("rgb", "mask")})
+    return {
+        "cameras": [own, *(entry_of(view, view_files(view, f"views/{view.name}")) for view in scene.views)]
+    }
+
+
 def _write_files(scene: Scene, folder: Path) -> None:
+    for view in scene.views:
+        copy_view(view, folder, f"views/{view.name}")
     times = None if scene.times is None else scene.times.tolist()
     write_without_images(scene, folder, scene.n_frames, times)
     for key, images in (("rgb", scene.frames), ("mask", scene.masks)):

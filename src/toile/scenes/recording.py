@@ -20,6 +20,7 @@ from toile.scenes.picture_checks import PictureChecks
 from toile.scenes.scene import GroundTruth, Scene
 from toile.scenes.texture_coordinates import Texturing
 from toile.scenes.validation import check_scene
+from toile.scenes.views import View
 
 ImageCheck = Callable[[tuple[Path, ...], tuple[Path, ...], tuple[int, int]], list[Finding]]
 """Check of frame paths and mask paths against a declared (height, width)."""
@@ -48,6 +49,7 @@ class Recording:
         original_size: (height, width) of the original image [px].
         notes: what reading changed or found remarkable.
         times: see Scene; of all frames or None.
+        views: see Scene.
     """
 
     name: str
@@ -68,6 +70,7 @@ class Recording:
     original_size: tuple[int, int] = (0, 0)
     notes: tuple[str, ...] = ()
     times: tuple[float, ...] | None = None
+    views: tuple[View, ...] = ()
 
 
 def limited(n_available: int, n_frames: int | None, where: str) -> int:
@@ -278,4 +281,5 @@ def assemble(
         source=recording.source,
         notes=tuple(notes),
         times=None if recording.times is None else torch.tensor(recording.times, dtype=torch.float64),
+        views=recording.views,
     )

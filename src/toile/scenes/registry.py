@@ -13,7 +13,7 @@ from toile.limits import Count, CountOrZero, Finite, Fraction, Positive, Unit
 from toile.scenes.locations import DATA_VARIABLE, SceneLocation, available_scenes, data_folder, find_scene
 from toile.scenes.native import load_native
 from toile.scenes.phi_sft import load_phi_sft, load_phi_sft_template
-from toile.scenes.scene import Scene
+from toile.scenes.scene import Scene, require_one_camera
 from toile.scenes.template import Template
 from toile.scenes.texture_coordinates import Texturing, from_file
 
@@ -54,7 +54,7 @@ def load_scene(
         pinned_vertices: flattened grid indices; None for what the data says (native) or (0, 992).
 
     Raises:
-        InputError: the scene is not found, has no video, or anything in it is wrong.
+        InputError: the scene is not found, has no video or several cameras, or anything in it is wrong.
     """
     location = find_scene(name, data_dir)
     changes: dict[str, Any] = {"fps": fps, "gravity": gravity, "pinned_vertices": pinned_vertices}
@@ -66,7 +66,7 @@ def load_scene(
         **{key: value for key, value in changes.items() if value is not None},
     }
     if location.native:
-        return load_native(location.folder, **options)
+        return require_one_camera(load_native(location.folder, **options))
     return load_phi_sft(location.name, location.folder, **options)
 
 

@@ -7,7 +7,9 @@ from pathlib import Path
 
 from torch import Tensor
 
+from toile.errors import InputError
 from toile.geometry.camera import Camera
+from toile.scenes.views import View
 
 
 @dataclass(frozen=True)
@@ -25,7 +27,10 @@ class GroundTruth:
 
 @dataclass(frozen=True)
 class Scene:
-    """A monocular video of one cloth, with its template and camera, in the OpenCV camera frame.
+    """A video of one cloth, with its template and camera, in the OpenCV camera frame.
+
+    Further cameras may have recorded it, too; what works on one view refuses such a scene
+    (``require_one_camera``).
 
     Attributes:
         name: scene name, e.g. "R1".
@@ -46,6 +51,7 @@ class Scene:
         source: folder the scene was read from, or None.
         notes: what the loader changed or found remarkable, for the doctor and the log.
         times: of the frames (F,) float64 [s], the first 0; None where they are evenly spaced at ``fps``.
+        views: of further cameras, whole images, with poses relative to ``camera``; () for a single one.
     """
 
     name: str
@@ -65,6 +71,12 @@ class Scene:
     source: Path | None = None
     notes: tuple[str, ...] = field(default_factory=tuple)
     times: Tensor | None = None
+    views: tuple[View, ...] = ()
+
+    @property
+    def cameras(self) -> tuple[Camera, ...]:
+        """All calibrated cameras; the first is ``camera``, in whose frame the others' poses are."""
+        return (self.camera, *(view.camera for view in self.views))
 
     @property
     def n_frames(self) -> int:
@@ -80,3 +92,20 @@ class Scene:
         """The scene with an offset, (H, W, 2) or flattened, added to its texture coordinates."""
         uv = self.texture_coordinates
         return replace(self, texture_coordinates=uv + offset.to(uv.dtype).reshape(uv.shape))
+
+
+def require_one_camera(scene: Scene) -> Scene:
+    """The scene, if a single camera recorded it.
+
+    Raises:
+        InputError: several did; to look at the first only would give their images away without a word.
+    """
+    if scene.views:
+        raise InputError(
+            f"Scene {scene.name} has several cameras",
+            where=str(scene.source or scene.name),
+            expected="one camera; dataclasses.replace(scene, views=()), or scene.json without cameras, keeps "
+            "the first alone",
+            got=", ".join(["the scene's own", *(view.name for view in scene.views)]),
+        )
+    return scene

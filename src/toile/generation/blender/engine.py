@@ -68,7 +68,7 @@ def simulate(spec: dict[str, Any], threads: int) -> NDArray[np.float32]:
     pose = np.asarray(spec["pose"], float)
     displacement = np.asarray(spec["displacement"], float)
     n_frames = len(displacement)
-    scene = _empty_scene(threads, n_frames)
+    scene = empty_scene(threads, n_frames)
     scene.gravity = spec["gravity"]
     cloth_object = _sheet(scene, pose)
     cloth_object.shape_key_add(name="Basis", from_mix=False)
@@ -146,7 +146,7 @@ def film(spec: dict[str, Any], folder: Path, threads: int) -> None:
     import bpy
 
     motion = np.load(spec["vertices"]).astype(float)
-    scene = _empty_scene(threads, len(motion))
+    scene = empty_scene(threads, len(motion))
     cloth = _sheet(scene, motion[0])
     cloth.data.polygons.foreach_set("use_smooth", [True] * len(cloth.data.polygons))
     light = spec.get("light")
@@ -154,14 +154,14 @@ def film(spec: dict[str, Any], folder: Path, threads: int) -> None:
     sun = _sun(scene, light) if light else None
     directions = np.array(light["direction"]) if light else np.zeros((0, 3))
     occluder = _bar(scene, spec["occluder"]) if spec.get("occluder") else None
-    _camera(scene, spec["camera"])
-    _cycles(scene, spec)
+    camera_of(scene, spec["camera"])
+    cycles_of(scene, spec)
     path = folder / "render.exr"
 
     def photograph() -> Array:
         scene.render.filepath = str(path)
         bpy.ops.render.render(write_still=True)
-        return _pixels(path)
+        return pixels_of(path)
 
     exposures = spec["exposures"] if spec["shutter"] > 0 else 1
     offsets = ((np.arange(exposures) + 0.5) / exposures - 0.5) * spec["shutter"]
@@ -222,7 +222,8 @@ def between(motion: Array, time: float) -> Array:
     return result
 
 
-def _empty_scene(threads: int, n_frames: int) -> Any:
+def empty_scene(threads: int, n_frames: int) -> Any:
+    """A scene without anything, of frames 0 to n_frames - 1."""
     import bpy
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -362,7 +363,8 @@ def _bar(scene: Any, spec: dict[str, Any]) -> Any:
     return bar
 
 
-def _camera(scene: Any, spec: dict[str, Any]) -> None:
+def camera_of(scene: Any, spec: dict[str, Any]) -> None:
+    """Give a scene the camera of ``film``, at the origin."""
     import bpy
     from mathutils import Matrix
 
@@ -383,7 +385,8 @@ def _camera(scene: Any, spec: dict[str, Any]) -> None:
     scene.render.resolution_percentage = 100
 
 
-def _cycles(scene: Any, spec: dict[str, Any]) -> None:
+def cycles_of(scene: Any, spec: dict[str, Any]) -> None:
+    """Let Cycles render coverage and linear light, with the samples and the filter of ``film``."""
     scene.render.engine = "CYCLES"
     scene.render.film_transparent = True
     scene.render.use_persistent_data = True
@@ -399,7 +402,7 @@ def _cycles(scene: Any, spec: dict[str, Any]) -> None:
     cycles.filter_width = spec["filter_width"]
 
 
-def _pixels(path: Path) -> Array:
+def pixels_of(path: Path) -> Array:
     """Image (h, w, 4) of an EXR file, linear, row 0 on top."""
     import bpy
 

@@ -19,7 +19,10 @@ ENVIRONMENT = "TOILE_BLENDER_PYTHON"
 _SOURCES = Path(__file__).parents[3]
 # Appended, so that the interpreter's own NumPy and bpy come first.
 _START = "import sys; sys.path.append(sys.argv.pop(1)); from {0} import main; main(*sys.argv[1:])"
-_ENGINE = "toile.generation.blender.engine"
+ENGINE = "toile.generation.blender.engine"
+"""Sheets of cloth."""
+PERSON_ENGINE = "toile.generation.blender.person"
+"""A garment on a moving body."""
 
 
 class BlenderError(SimulationError):
@@ -69,19 +72,20 @@ def _problem(python: str) -> str:
     return result.stderr.strip().rpartition("\n")[2] or f"exit status {result.returncode}"
 
 
-def run(request: dict[str, Any], folder: Path, python: str | None = None) -> None:
+def run(request: dict[str, Any], folder: Path, python: str | None = None, engine: str = ENGINE) -> None:
     """Let the engine carry out a request and write its files to a folder.
 
     Args:
-        request: see engine.
+        request: see the engine.
         folder: for the request and the results; it need not exist.
         python: see interpreter.
+        engine: module with ``main(request file, folder)`` that runs inside Blender.
 
     Raises:
         InputError: bpy cannot be imported.
         BlenderError: Blender stopped before it was done.
     """
-    command = [interpreter(python), "-c", _START.format(_ENGINE), str(_SOURCES)]
+    command = [interpreter(python), "-c", _START.format(engine), str(_SOURCES)]
     folder.mkdir(parents=True, exist_ok=True)
     (folder / DONE).unlink(missing_ok=True)
     path = folder / "request.json"

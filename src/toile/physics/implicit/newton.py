@@ -1,6 +1,6 @@
 """One implicit step as minimisation of the incremental potential, by Newton's method.
 
-    Φ(x) = ½ ‖x - x̂‖²_M / (β h)² + E(x) - <f, x> + Σ_i U_i(x_i)
+    Φ(x) = ½ ‖x - x̂‖²_M / (β h)² + E(x) - <f, x> + U(x)
 
 | symbol | meaning | shape, unit |
 |---|---|---|
@@ -9,7 +9,7 @@
 | β h | effective step | s |
 | E | internal energy Σ_c k_c e_c | J |
 | f | external force | (N, 3) N |
-| U | potentials of single vertices, if any | (N,) J |
+| U | whatever else acts within the step, if anything | J |
 
 The exact Hessian gives quadratic convergence, and its factor serves further steps as long as each of them
 halves the residual: such a step costs a tenth of a factorisation. Where the exact Hessian is not positive
@@ -30,7 +30,8 @@ from numpy.typing import NDArray
 from toile.limits import Count, CountOrZero, Positive
 from toile.physics.implicit.assembly import Assembly
 from toile.physics.implicit.linear_solvers.base import Factor, LinearSolver
-from toile.physics.implicit.terms import TermMemory, VertexPotential
+from toile.physics.implicit.potential import StepPotential
+from toile.physics.implicit.terms import TermMemory
 from toile.physics.simulator import StepStatus
 
 Array = NDArray[np.float64]
@@ -89,13 +90,23 @@ class Linearization:
 
 @dataclass(frozen=True)
 class StepSolution:
-    """Solution of one step of one scene."""
+    """Solution of one step of one scene.
+
+    Attributes:
+        positions: x_{n+1} (N, 3) [m].
+        status: see StepStatus.
+        iterations: Newton iterations.
+        residual: largest out-of-balance force [N].
+        linearization: if it was asked for.
+        factor: the last one that served, where it was asked for and is that of an exact Hessian.
+    """
 
     positions: Array
     status: StepStatus
     iterations: int
     residual: float
     linearization: Linearization | None
+    factor: Factor | None = None
 
 
 def minimise_incremental_potential(
@@ -112,7 +123,9 @@ def minimise_incremental_potential(
     *,
     linearize: bool,
     fresh_linearization: bool = True,
-    extra: VertexPotential | None = None,
+    extra: StepPotential | None = None,
+    factor: Factor | None = None,
+    keep_factor: bool = False,
 ) -> StepSolution:
     """Minimise Φ over the free vertices.
 
@@ -131,6 +144,8 @@ def minimise_incremental_potential(
         fresh_linearization: with a Hessian of their own. If not, that of the last iteration serves once more
             where it is the exact one; it was made where the iteration began.
         extra: U; none if None.
+        factor: of the exact Hessian of a similar step, tried before one is made.
+        keep_factor: return the last one made for the next such step.
     """
     free = assembly.free
     # No force is known better than the rounding of the inertial one; a tolerance below is out of reach.
@@ -147,7 +162,7 @@ def minimise_incremental_potential(
         away = at - prediction
         kinetic = 0.5 * float((inertia[:, None] * away * away * free).sum())
         total = kinetic + float(stiffness @ assembly.energies(at)) - float((forces * at * free).sum())
-        return total if extra is None else total + float(extra.energy(at) @ free[:, 0])
+        return total if extra is None else total + extra.total(at, free)
 
     def rounding(before: float, after: float) -> bool:
         """Whether a difference of Φ drowns in rounding, as it does close to the minimum."""
@@ -160,11 +175,28 @@ def minimise_incremental_potential(
     x, value = starts[best], float(values[best])
     unit_gradients = assembly.gradients(x)
     residual = residual_of(unit_gradients, x)
-    factor: Factor | None = None
     blocks: Array | None = None
     level = 0
     iteration = 0
     status = StepStatus.CONVERGED
+
+    def reuse(factor: Factor) -> None:
+        """Step with this factor as long as every step shrinks the residual."""
+        nonlocal x, value, unit_gradients, residual
+        while (worst := float(np.abs(residual).max())) > threshold:
+            trial = x - factor.solve(residual)
+            trial_gradients = assembly.gradients(trial)
+            trial_residual = residual_of(trial_gradients, trial)
+            if not np.abs(trial_residual).max() <= _REUSE_RATIO * worst:
+                break
+            trial_value = potential(trial)
+            if not (trial_value <= value or rounding(value, trial_value)):
+                break
+            x, value, unit_gradients, residual = trial, trial_value, trial_gradients, trial_residual
+
+    kept = factor
+    if factor is not None:
+        reuse(factor)
     while True:
         worst = float(np.abs(residual).max(initial=0.0))
         if not np.isfinite(worst) or not np.isfinite(value):
@@ -176,6 +208,7 @@ def minimise_incremental_potential(
             break
         iteration += 1
         factor, blocks, level = _regularised_factor(assembly, solver, x, stiffness, inertia, level, extra)
+        kept = None if blocks is None else factor
         if factor is None:
             status = StepStatus.LINE_SEARCH_FAILED
             break
@@ -200,26 +233,16 @@ def minimise_incremental_potential(
             continue
         x, value, unit_gradients = trial, trial_value, assembly.gradients(trial)
         residual = residual_of(unit_gradients, x)
-        while level == 0 and length == 1.0:
-            worst = float(np.abs(residual).max())
-            if worst <= threshold:
-                break
-            trial = x - factor.solve(residual)
-            trial_gradients = assembly.gradients(trial)
-            trial_residual = residual_of(trial_gradients, trial)
-            if not np.abs(trial_residual).max() <= _REUSE_RATIO * worst:
-                break
-            trial_value = potential(trial)
-            if not (trial_value <= value or rounding(value, trial_value)):
-                break
-            x, value, unit_gradients, residual = trial, trial_value, trial_gradients, trial_residual
+        if level == 0 and length == 1.0:
+            reuse(factor)
         level = max(min(level, len(_PROJECTED_SHARES) - 1) - 1, 0)
     linearization = None
     if linearize and not fresh_linearization and factor is not None and blocks is not None:
         linearization = Linearization(factor, assembly.coupling(blocks), unit_gradients, inertia, exact=False)
     elif linearize:
         linearization = linearise(assembly, solver, x, unit_gradients, stiffness, inertia, extra)
-    return StepSolution(x, status, iteration, float(np.abs(residual).max(initial=0.0)), linearization)
+    largest = float(np.abs(residual).max(initial=0.0))
+    return StepSolution(x, status, iteration, largest, linearization, kept if keep_factor else None)
 
 
 def _regularised_factor(
@@ -229,11 +252,11 @@ def _regularised_factor(
     stiffness: Array,
     inertia: Array,
     level: int,
-    extra: VertexPotential | None,
+    extra: StepPotential | None,
 ) -> tuple[Factor | None, Array | None, int]:
     """Factor of the Hessian of Φ at the first level of regularisation, from ``level`` on, that allows one.
 
-    The blocks of E + Σ U come with it where the level is 0: the exact Hessian.
+    The blocks of E + U come with it where the level is 0: the exact Hessian.
     """
     exact = potential_hessian(assembly, x, stiffness, extra, convex=False)
     if level == 0:
@@ -258,12 +281,12 @@ def _regularised_factor(
 
 
 def potential_hessian(
-    assembly: Assembly, x: Array, stiffness: Array, extra: VertexPotential | None, *, convex: bool
+    assembly: Assembly, x: Array, stiffness: Array, extra: StepPotential | None, *, convex: bool
 ) -> Array:
-    """Blocks of the Hessian of E + Σ U, see Assembly.hessian."""
+    """Blocks of the Hessian of E + U, see Assembly.hessian."""
     _, blocks = assembly.hessian(x, stiffness, convex=convex)
     if extra is not None:
-        blocks[assembly.pattern.diagonal] += extra.blocks(x, convex=convex)
+        extra.add_hessian(blocks, assembly.pattern, x, convex=convex)
     return blocks
 
 
@@ -274,7 +297,7 @@ def linearise(
     unit_gradients: Array,
     stiffness: Array,
     inertia: Array,
-    extra: VertexPotential | None = None,
+    extra: StepPotential | None = None,
 ) -> Linearization:
     """Derivatives at x with the exact Hessian.
 

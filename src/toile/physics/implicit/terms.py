@@ -13,13 +13,15 @@ from torch import Tensor
 from toile.physics.cloth import Cloth
 from toile.physics.elements import Elements
 from toile.physics.implicit.assembly import Assembly
+from toile.physics.implicit.linear_solvers.pattern import BlockPattern
+from toile.physics.implicit.potential import StepPotential
 from toile.physics.material import Material
 from toile.physics.step_terms import ElementTerm, StepContext, StepTerm, VertexTerm
 
 Array = NDArray[np.float64]
 
 
-class VertexPotential:
+class VertexPotential(StepPotential):
     """Sum of vertex terms during one step of one scene.
 
     Args:
@@ -35,9 +37,17 @@ class VertexPotential:
         """Potential (N,) [J] at positions (N, 3) [m]."""
         return self._evaluate(x)[0]
 
+    def total(self, x: Array, free: Array) -> float:
+        """See StepPotential."""
+        return float(self.energy(x) @ free[:, 0])
+
     def gradient(self, x: Array) -> Array:
         """Its gradient (N, 3) [N]."""
         return self._evaluate(x)[1]
+
+    def add_hessian(self, blocks: Array, pattern: BlockPattern, x: Array, *, convex: bool) -> None:
+        """See StepPotential."""
+        blocks[pattern.diagonal] += self.blocks(x, convex=convex)
 
     def blocks(self, x: Array, *, convex: bool) -> Array:
         """Its second derivatives (N, 3, 3) [N/m]; without negative eigenvalues if ``convex``."""
@@ -70,11 +80,11 @@ class SceneTerms:
     """What the step terms are for the solver during one step of one scene.
 
     Attributes:
-        vertices: potential of the vertex terms, if there are any.
+        vertices: potential of the vertex terms or whatever else acts within the step, if anything does.
         elements: factors and rest shape, if there are element terms; without gradients.
     """
 
-    vertices: VertexPotential | None = None
+    vertices: StepPotential | None = None
     elements: Elements | None = None
 
     @staticmethod

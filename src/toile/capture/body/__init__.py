@@ -1,0 +1,1 @@
+"""The person under the garment: mesh, skeleton, skinning weights, landmarks."""

@@ -1,0 +1,61 @@
+"""``toile capture data | page | export``: people in moving garments."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+from omegaconf import DictConfig
+
+from toile.capture.data.clips import TRUTH_FILE, Truth
+from toile.capture.data.making import clips_of, make_data
+from toile.cli.configuration import instantiate
+from toile.cli.terminal import print_path
+from toile.errors import InputError
+from toile.progress import Shown
+
+log = logging.getLogger(__name__)
+
+
+def run(cfg: DictConfig) -> None:
+    """Do what the plain argument says.
+
+    Raises:
+        InputError: no such action.
+    """
+    actions = {"data": _data, "page": _page, "export": _export}
+    if str(cfg.action) not in actions:
+        raise InputError(
+            "No such action", where="toile capture", expected=", ".join(actions), got=str(cfg.action)
+        )
+    actions[str(cfg.action)](cfg)
+
+
+def _data(cfg: DictConfig) -> None:
+    """Make a data set, or complete one."""
+    domain = instantiate(cfg.domain)
+    with Shown(log) as progress:
+        print_path(make_data(domain, Path(str(cfg.folder)), progress))
+
+
+def _page(cfg: DictConfig) -> None:
+    """One page per clip."""
+    from toile.reports.page.capture_page import write_capture_page
+
+    for clip in clips_of(Path(str(cfg.run))):
+        with Shown(log) as progress:
+            print_path(write_capture_page(clip, view=int(cfg.view), every=int(cfg.every), report=progress))
+
+
+def _export(cfg: DictConfig) -> None:
+    """One file per clip, of body and garment."""
+    from toile.export.animation import MeshAnimation
+    from toile.export.formats import export_meshes
+
+    for clip in clips_of(Path(str(cfg.run))):
+        truth = Truth.load(clip / TRUTH_FILE)
+        meshes = (
+            MeshAnimation(truth.body_positions, truth.body_faces, truth.fps, "body"),
+            MeshAnimation(truth.garment_positions, truth.garment_faces, truth.fps, "garment"),
+        )
+        print_path(export_meshes(meshes, clip, str(cfg.format)))

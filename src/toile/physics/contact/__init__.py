@@ -1,0 +1,1 @@
+"""Contact of a cloth with a surface whose motion is given."""

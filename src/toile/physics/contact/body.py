@@ -1,0 +1,352 @@
+"""Contact of a cloth with a body of triangles whose motion is given, seen from both sides.
+
+A vertex of the cloth keeps a thickness from the plane through the nearest point of the body, across the
+direction to it. A vertex of the body keeps the nearest face of the cloth before the plane across its own
+normal: with that a coarse cloth can't be cut by what lies between its vertices. Planes are frozen within a
+solve; the first ones are those of where the step begins, carried along with the body, so that a fast limb
+can't jump through the cloth.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from toile.geometry.mesh import vertex_normals
+from toile.geometry.moving_surface import MovingSurface, Nearest
+from toile.limits import NonNegative, Positive
+from toile.physics.contact.planes import ContactPlanes, ContactPotential, Penalty
+from toile.physics.implicit.linear_solvers.pattern import BlockPattern
+from toile.physics.implicit.renewed import RenewedPotential
+from toile.physics.topology import Topology
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+# Rings of inactive faces around the active ones in which nearest points are looked for as well.
+_RINGS = 8
+# A cloth seen edge-on from a body vertex (sine of the angle) says nothing about which side that is on.
+_EDGE_ON = 0.3
+# Cosine between the normals of two walls below which they make a crease.
+_OTHER_WALL = 0.5
+# Share of its free vertices' weights below which a place on a face cannot be moved.
+_MOVABLE = 0.2
+# A nearest point is on the rim of the cloth if its weight opposite to the rim's edge is below this.
+_ON_RIM = 1e-4
+
+
+@dataclass(frozen=True)
+class ContactSettings:
+    """Settings of the contact.
+
+    Attributes:
+        stiffness: force per depth and mass [1/s²]; g / k deep under its own weight.
+        thickness: distance that vertices of the cloth keep from the body [m].
+        body_thickness: distance that faces of the cloth keep from vertices of the body [m].
+        smoothing: depth over which the force begins [m].
+        hardening: depth where the force is twice that of the parabola [m].
+        sticking_speed: below this speed along the body the cloth sticks [m/s].
+        reach: how far from the body contacts are looked for [m].
+        body_reach: how far from the cloth vertices of the body are looked for [m].
+        crease_reach: how far from a vertex of the cloth a second wall of a crease is looked for [m].
+    """
+
+    stiffness: Positive = 6e5
+    thickness: NonNegative = 0.003
+    body_thickness: NonNegative = 0.001
+    smoothing: Positive = 5e-4
+    hardening: Positive = 1e-3
+    sticking_speed: Positive = 5e-3
+    reach: Positive = 0.05
+    body_reach: Positive = 0.02
+    crease_reach: Positive = 0.02
+
+
+class BodyContact:
+    """Finds contacts between a cloth and a body.
+
+    Args:
+        topology: of the cloth, N vertices.
+        masses: of its vertices (N,) [kg].
+        held: (n,) vertices whose motion is prescribed; they collide with nothing.
+        body_faces: (T, 3) of all the body.
+        inactive: (V,) bool, vertices of the body whose faces collide with nothing.
+        settings: see ContactSettings.
+    """
+
+    def __init__(
+        self,
+        topology: Topology,
+        masses: Array,
+        held: Indices,
+        body_faces: Indices,
+        inactive: NDArray[np.bool_],
+        settings: ContactSettings,
+    ) -> None:
+        self.settings = settings
+        self.penalty = Penalty(settings.smoothing, settings.hardening)
+        self.masses = masses
+        self.free = np.ones(topology.n_vertices, np.bool_)
+        self.free[held] = False
+        self.loose = np.flatnonzero(self.free)
+        # Some of what is inactive stays, so that the rest has no rim where sides can't be told.
+        near = ~inactive
+        for _ in range(_RINGS):
+            near[body_faces[near[body_faces].any(1)]] = True
+        kept = body_faces[near[body_faces].all(1)]
+        self.body = MovingSurface(len(inactive), kept)
+        self._acting: NDArray[np.bool_] = np.logical_not(np.any(inactive[kept], axis=1))
+        faces = topology.faces.numpy()
+        faces = faces[self.free[faces].any(1)]
+        self.cloth = MovingSurface(topology.n_vertices, faces)
+        self._body_faces = torch.from_numpy(self.body.faces)
+        self.active = np.unique(kept[self._acting])
+        self._rim = _rims(topology.n_vertices, topology.faces.numpy(), faces)
+        self._kept: tuple[Array, Array] | None = None
+
+    def begin(
+        self, positions: Array, body: Array, next_body: Array, friction: float | Tensor, time_step: float
+    ) -> StepContact:
+        """Contacts of the step from positions x_n (N, 3); body (V, 3) at its begin and end [m]."""
+        return StepContact(self, positions, body, next_body, friction, time_step)
+
+    def normals(self, body: Array) -> Array:
+        """Unit normals (V, 3) of the body."""
+        if self._kept is None or self._kept[0] is not body:
+            self._kept = body, vertex_normals(torch.from_numpy(body), self._body_faces).numpy()
+        return self._kept[1]
+
+    def facing(self, points: Array, normals: Array, reach: float) -> tuple[Nearest, Array]:
+        """Nearest places on the cloth to points (P, 3) of the body that see it face on, and gaps (M,) [m].
+
+        The gap lies along the point's normal and is negative where the cloth is behind it. ``cloth.move``
+        goes before.
+        """
+        found = self.cloth.nearest(points, reach, signed=False)
+        n = normals[found.which]
+        aligned = np.abs(np.einsum("mk,mk->m", found.normals, n)) > _EDGE_ON
+        face = self.cloth.faces[found.faces]
+        free = self.free[face]
+        movable = (found.weights * free).sum(1) > _MOVABLE
+        inside = ~self._on_rim(found)
+        some = found.some(np.flatnonzero(aligned & movable & inside))
+        gaps = np.einsum("mk,mk->m", some.points - points[some.which], normals[some.which])
+        return some, gaps
+
+    def walls(self, points: Array) -> Nearest:
+        """Nearest points of the body, in a crease of its other wall as well; ``body.move`` goes before."""
+        first = self.surface(points, self.settings.reach)
+        close = np.flatnonzero(first.distances < self.settings.crease_reach)
+        asked = first.which[close]
+        other = self.body.other_walls(
+            points[asked], first.points[close], first.normals[close], self.settings.crease_reach, _OTHER_WALL
+        )
+        return first.joined(other, asked[other.which])
+
+    def surface(self, points: Array, reach: float) -> Nearest:
+        """Nearest points (with a sign) of those whose nearest face collides; ``body.move`` goes before."""
+        found = self.body.nearest(points, reach)
+        return found.some(np.flatnonzero(self._acting[found.faces]))
+
+    def _on_rim(self, found: Nearest) -> NDArray[np.bool_]:
+        edges, corners = self._rim
+        low = found.weights < _ON_RIM
+        at_edge = np.any(low & edges[found.faces], axis=1)
+        alone = found.weights > 1.0 - 2.0 * _ON_RIM
+        at_corner = np.any(alone & corners[self.cloth.faces[found.faces]], axis=1)
+        on_rim: NDArray[np.bool_] = np.logical_or(at_edge, at_corner)
+        return on_rim
+
+
+class FrozenContact(RenewedPotential):
+    """Contacts that are given: planes and normal forces of the friction don't change between solves."""
+
+    def __init__(self, potential: ContactPotential, friction: float | Tensor) -> None:
+        self.potential, self._friction = potential, friction
+
+    def total(self, x: Array, free: Array) -> float:
+        """See StepPotential."""
+        return self.potential.total(x, free)
+
+    def gradient(self, x: Array) -> Array:
+        """See StepPotential."""
+        return self.potential.gradient(x)
+
+    def add_hessian(self, blocks: Array, pattern: BlockPattern, x: Array, *, convex: bool) -> None:
+        """See StepPotential."""
+        self.potential.add_hessian(blocks, pattern, x, convex=convex)
+
+    def renew(self, x: Array) -> None:
+        """See RenewedPotential: nothing is."""
+
+    def forces(self, x: Tensor, positions: Tensor) -> Tensor:
+        """See RenewedPotential."""
+        return self.potential.forces(x, positions, torch.as_tensor(self._friction, dtype=torch.float64))
+
+    def again(self, positions: Array, friction: float | Tensor) -> FrozenContact:
+        """The contacts as they are for a step from other positions x_n (N, 3) [m]."""
+        number = float(torch.as_tensor(friction).detach())
+        return FrozenContact(self.potential.begun_at(positions, number), friction)
+
+    def pushing(self, x: Array) -> int:
+        """Contacts that push."""
+        return int((self.potential.normal_forces(x) > 0.0).sum())
+
+    def outside(self, x: Array) -> Array:
+        """Positions (N, 3) [m] with single vertices moved out of what they penetrate: where to begin."""
+        planes = self.potential.planes
+        single = planes.weights[:, 0] == 1.0
+        vertex = planes.vertices[single, 0]
+        moved = x.copy()
+        np.add.at(moved, vertex, planes.depths(x)[single].clip(min=0.0)[:, None] * planes.normals[single])
+        return moved
+
+
+class StepContact(FrozenContact):
+    """Contacts of one step.
+
+    Attributes:
+        potential: of the planes as they are.
+    """
+
+    def __init__(
+        self,
+        contact: BodyContact,
+        positions: Array,
+        body: Array,
+        next_body: Array,
+        friction: float | Tensor,
+        time_step: float,
+    ) -> None:
+        self._contact = contact
+        self._x = positions
+        self._body, self._next = body, next_body
+        self._sticking = contact.settings.sticking_speed * time_step
+        self._candidates = self._near(positions)
+        super().__init__(self._frozen(self._carried(), positions, friction), friction)
+
+    def renew(self, x: Array) -> None:
+        """See RenewedPotential."""
+        contact, settings = self._contact, self._contact.settings
+        contact.body.move(self._next)
+        found = contact.walls(x[contact.loose])
+        offsets = np.einsum("ck,ck->c", found.normals, found.points) + settings.thickness
+        contact.cloth.move(x)
+        points = self._next[self._candidates]
+        normals = contact.normals(self._next)[self._candidates]
+        facing, gaps = contact.facing(points, normals, settings.body_reach)
+        planes = self._planes(
+            found,
+            found.normals,
+            offsets,
+            settings.thickness - found.distances,
+            facing,
+            settings.body_thickness - gaps,
+        )
+        self.potential = self._frozen(planes, self._x, self._friction)
+
+    def _near(self, x: Array) -> Indices:
+        """Vertices of the body that may meet the cloth within the step."""
+        contact = self._contact
+        reach = 2 * contact.settings.body_reach
+        points = self._body[contact.active]
+        within = ((points > x.min(0) - reach) & (points < x.max(0) + reach)).all(1)
+        candidates = contact.active[within]
+        contact.cloth.move(x)
+        near = contact.cloth.nearest(self._body[candidates], reach, signed=False)
+        found: Indices = candidates[near.which]
+        return found
+
+    def _carried(self) -> ContactPlanes:
+        """Planes of where the step begins, carried along with the body to its end."""
+        contact, settings = self._contact, self._contact.settings
+        contact.body.move(self._body)
+        found = contact.walls(self._x[contact.loose])
+        corners = contact.body.faces[found.faces]
+        turn = _frames(self._next[corners]) @ _frames(self._body[corners]).transpose(0, 2, 1)
+        normals = np.einsum("cij,cj->ci", turn, found.normals)
+        carried = np.einsum("ca,cak->ck", found.weights, self._next[corners])
+        offsets = np.einsum("ck,ck->c", normals, carried) + settings.thickness
+        # The cloth is where the step begins already.
+        points = self._body[self._candidates]
+        here = contact.normals(self._body)[self._candidates]
+        facing, gaps = contact.facing(points, here, settings.body_reach)
+        return self._planes(
+            found,
+            normals,
+            offsets,
+            settings.thickness - found.distances,
+            facing,
+            settings.body_thickness - gaps,
+        )
+
+    def _planes(
+        self,
+        found: Nearest,
+        normals: Array,
+        offsets: Array,
+        depths: Array,
+        facing: Nearest,
+        body_depths: Array,
+    ) -> ContactPlanes:
+        contact, settings = self._contact, self._contact.settings
+        corners = contact.body.faces[found.faces]
+        vertex = contact.loose[found.which]
+        single = np.zeros((len(vertex), 3))
+        single[:, 0] = 1.0
+        drags = np.einsum("ca,cak->ck", found.weights, self._next[corners] - self._body[corners])
+        own = self._candidates[facing.which]
+        body_normals = contact.normals(self._next)[own]
+        body_offsets = np.einsum("ck,ck->c", body_normals, self._next[own]) + settings.body_thickness
+        places = contact.cloth.faces[facing.faces]
+        masses = np.concatenate((contact.masses[vertex], (facing.weights * contact.masses[places]).sum(1)))
+        stiffness = settings.stiffness * masses
+        lacking = np.concatenate((depths, body_depths))
+        return ContactPlanes(
+            vertices=np.concatenate((np.repeat(vertex[:, None], 3, 1), places)),
+            weights=np.concatenate((single, facing.weights)),
+            normals=np.concatenate((normals, body_normals)),
+            offsets=np.concatenate((offsets, body_offsets)),
+            stiffness=stiffness,
+            normal_forces=stiffness * contact.penalty.slope(lacking),
+            drags=np.concatenate((drags, self._next[own] - self._body[own])),
+        )
+
+    def _frozen(self, planes: ContactPlanes, x: Array, friction: float | Tensor) -> ContactPotential:
+        number = float(torch.as_tensor(friction).detach())
+        return ContactPotential(planes, x, number, self._contact.penalty, self._sticking)
+
+
+def _frames(corners: Array) -> Array:
+    """Orthonormal frames (C, 3, 3) of triangles (C, 3, 3): first edge, across it, normal, as columns."""
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    along = first / np.linalg.norm(first, axis=1, keepdims=True).clip(min=1e-30)
+    normal = np.cross(first, second)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True).clip(min=1e-30)
+    return np.stack((along, np.cross(normal, along), normal), -1)
+
+
+def _rims(n: int, every: Indices, faces: Indices) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Whether the edge opposite to each corner of faces (T, 3) is on the rim, and whether vertices (N,) are.
+
+    Args:
+        n: vertices N.
+        every: faces that make the surface.
+        faces: those asked for.
+    """
+    opposite = [(1, 2), (2, 0), (0, 1)]
+
+    def keys(of: Indices) -> Indices:
+        ends = np.stack([of[:, pair] for pair in opposite], 1)
+        return ends.min(2) * n + ends.max(2)
+
+    edges, counts = np.unique(keys(every), return_counts=True)
+    alone = edges[counts == 1]
+    corners = np.zeros(n, np.bool_)
+    corners[alone // n] = True
+    corners[alone % n] = True
+    return np.isin(keys(faces), alone), corners

@@ -1,0 +1,244 @@
+"""The layer S: contact while the body moves, gradients through a step, batches, silhouettes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from tests.unit.capture.layer.conftest import body_and_garment, tilted
+from toile.capture.garments import attached_targets
+from toile.capture.layer.layer import LayerSettings, SimulationLayer
+from toile.capture.layer.silhouette import Outline, SilhouettePotential, SilhouetteRays
+from toile.errors import InputError
+from toile.geometry.camera import Camera, looking_at
+from toile.rendering import WarpRenderer
+
+H = 1 / 120
+TIGHT = LayerSettings(tolerance=1e-9)
+
+
+@pytest.fixture(scope="module")
+def swing():
+    """A body that swings to and fro within 16 frames, and the garment's motion on it."""
+    body, faces, garment = body_and_garment(14, 6)
+    layer = SimulationLayer(garment, faces)
+    angles = 0.5 * np.sin(2 * np.pi * np.arange(16) / 16)
+    bodies = torch.stack([tilted(body, float(angle)) for angle in angles])
+    return layer, bodies, layer.simulate(bodies, 30.0)
+
+
+def test_a_swinging_body_stays_within_its_garment(swing) -> None:
+    layer, bodies, motion = swing
+    assert motion.converged.all()
+    assert motion.converged.shape == (15, 4)
+    depths, gaps = [], []
+    for body, cloth in zip(bodies.numpy(), motion.garment_positions, strict=True):
+        layer.contact.body.move(body)
+        depths.append(layer.contact.surface(cloth[layer.contact.loose], 0.05).distances.min())
+        layer.contact.cloth.move(cloth)
+        gaps.append(layer.contact.facing(body, layer.contact.normals(body), 0.02)[1].min(initial=1.0))
+    assert min(depths) > 0.0
+    assert min(gaps) > -1e-4
+    # It is pushed: without contact the body would come out of it.
+    assert min(depths) < layer.settings.contact.thickness
+
+
+def test_the_held_ring_goes_where_the_body_takes_it(swing) -> None:
+    layer, _, motion = swing
+    held = layer.garment.attached.numpy()
+    start = layer.garment.rest_vertices[held]
+    expected = torch.stack([tilted(start, 0.5 * np.sin(2 * np.pi * k / 16)) for k in range(16)])
+    np.testing.assert_allclose(motion.garment_positions[:, held], expected, rtol=0, atol=1e-12)
+
+
+def test_energy_stays_bounded_and_a_still_body_calms_down(swing) -> None:
+    layer, bodies, motion = swing
+    assert motion.kinetic.max() + motion.elastic.max() < 0.05
+    still = layer.simulate(
+        bodies[-1].expand(12, -1, -1),
+        30.0,
+        start=torch.from_numpy(motion.garment_positions[-1]),
+        velocities=torch.from_numpy(motion.velocities),
+    )
+    assert still.kinetic[-1] < 0.02 * motion.kinetic.max()
+    total = still.kinetic + still.elastic + still.gravitational
+    assert np.all(np.diff(total) < 1e-6)
+
+
+def test_a_motion_goes_on_from_where_it_was_cut(swing) -> None:
+    layer, bodies, motion = swing
+    first = layer.simulate(bodies[:12], 30.0)
+    rest = layer.simulate(
+        bodies[11:],
+        30.0,
+        start=torch.from_numpy(first.garment_positions[-1]),
+        velocities=torch.from_numpy(first.velocities),
+    )
+    np.testing.assert_array_equal(rest.garment_positions[-1], motion.garment_positions[-1])
+
+
+def test_a_batch_has_the_digits_of_singles(swing) -> None:
+    layer, bodies, motion = swing
+    x = torch.from_numpy(motion.garment_positions)
+    frames = (5, 9, 13)
+    v = [(x[k] - x[k - 1]) * 30 for k in frames]
+    singles = [layer.step(x[k], u, bodies[k], bodies[k + 1], 1 / 30) for k, u in zip(frames, v, strict=True)]
+    batch = layer.step_batch(
+        torch.stack([x[k] for k in frames]),
+        torch.stack(v),
+        torch.stack([bodies[k] for k in frames]),
+        torch.stack([bodies[k + 1] for k in frames]),
+        1 / 30,
+    )
+    for alone, together in zip(singles, batch, strict=True):
+        assert torch.equal(alone.positions, together.positions)
+
+
+def test_a_body_of_another_size_is_told(swing) -> None:
+    layer, bodies, _ = swing
+    with pytest.raises(InputError, match="Body does not fit the layer"):
+        layer.simulate(bodies[:, :10], 30.0)
+
+
+def test_a_start_inside_the_body_is_told(swing) -> None:
+    layer, bodies, _ = swing
+    inside = layer.garment.rest_vertices - torch.tensor([0.05, 0.0, 0.0])
+    with pytest.raises(InputError, match="Garment starts inside the body"):
+        layer.simulate(bodies[:2], 30.0, start=inside)
+
+
+def touching_step():
+    """A layer, and a step in the middle of the swing, where the cloth lies on the body and slides."""
+    body, faces, garment = body_and_garment(12, 6, radii=(0.103, 0.103))
+    layer = SimulationLayer(garment, faces, settings=TIGHT)
+    angles = 0.5 * np.sin(2 * np.pi * np.arange(16) / 16)
+    bodies = torch.stack([tilted(body, float(angle)) for angle in angles])
+    motion = layer.simulate(bodies[:5], 30.0)
+    x = torch.from_numpy(motion.garment_positions[-1])
+    v = torch.from_numpy(motion.velocities)
+    return layer, x, v, bodies[4], torch.lerp(bodies[4], bodies[5], 0.25)
+
+
+def inputs(layer: SimulationLayer, x: Tensor, v: Tensor, after: Tensor) -> dict[str, Tensor]:
+    return {
+        "positions": x,
+        "velocities": v,
+        "attached": attached_targets(layer.garment, after, layer.body_faces),
+        "material": layer.material.values,
+        "friction": torch.tensor(0.3, dtype=torch.float64),
+    }
+
+
+@pytest.mark.parametrize("name", ["positions", "velocities", "attached", "material", "friction"])
+def test_gradients_through_a_step_are_those_of_finite_differences(name: str) -> None:
+    layer, x, v, before, after = touching_step()
+    given = inputs(layer, x, v, after)
+    first = layer.step(x, v, before, after, H)
+    assert first.contacts > 5
+    generator = torch.Generator().manual_seed(0)
+    weights = torch.randn(x.shape, generator=generator, dtype=torch.float64)
+
+    def outcome(values: dict[str, Tensor]) -> Tensor:
+        step = layer.step(
+            values["positions"],
+            values["velocities"],
+            before,
+            after,
+            H,
+            attached=values["attached"],
+            material=replace(layer.material, values=values["material"]),
+            friction=values["friction"],
+            contact=first.contact,
+        )
+        assert step.converged
+        return (weights * step.positions).sum()
+
+    leaf = given[name].clone().requires_grad_()
+    gradient = torch.autograd.grad(outcome({**given, name: leaf}), leaf)[0]
+    direction = torch.randn(leaf.shape, generator=generator, dtype=torch.float64)
+    scale = {"positions": 1e-6, "velocities": 1e-4, "attached": 1e-6, "friction": 1e-4}.get(name, 1e-5)
+    size = scale * (given[name].abs() if name == "material" else torch.ones_like(given[name]))
+    ends = [outcome({**given, name: given[name] + sign * size * direction}).detach() for sign in (1.0, -1.0)]
+    expected = float(ends[0] - ends[1]) / 2
+    assert abs(expected) > 1e-12
+    assert float((gradient * size * direction).sum()) == pytest.approx(expected, rel=1e-4)
+
+
+def ring_of_cameras(n: int) -> list[Camera]:
+    plain = Camera(200.0, 200.0, 64.0, 64.0, 128, 128)
+    up = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
+    eyes = [(1.5 * np.cos(a), -0.1, 1.5 * np.sin(a)) for a in 2 * np.pi * (np.arange(n) + 0.5) / n]
+    centre = torch.tensor([0.0, -0.1, 0.0], dtype=torch.float64)
+    return [looking_at(plain, torch.tensor(eye, dtype=torch.float64), centre, up) for eye in eyes]
+
+
+def seen(layer: SimulationLayer, cloth: Tensor, body: Tensor, cameras: list[Camera]) -> list[SilhouetteRays]:
+    """Silhouettes of a garment on its body."""
+    vertices = torch.cat((cloth, body)).float()
+    faces = torch.cat((layer.garment.faces, layer.body_faces + len(cloth)))
+    rays = []
+    for camera in cameras:
+        face = WarpRenderer().rasterize(vertices[None], faces, camera).face[0].numpy()
+        garment = (face >= 0) & (face < len(layer.garment.faces))
+        rays.append(SilhouetteRays.of_mask(camera, garment, face >= 0))
+    return rays
+
+
+def distance(layer: SimulationLayer, rays: list[SilhouetteRays], x: Tensor) -> float:
+    """Mean over the pixels of Eq. 1 across the outline, with the vertices that are nearest now [m²]."""
+    potential = SilhouettePotential(
+        Outline(layer.cloth.topology, layer.contact.body), rays, 1.0, 0.0, 0.1, x.numpy()
+    )
+    return potential.total(x.numpy(), np.ones(x.shape)) / sum(len(view.directions) for view in rays)
+
+
+def test_silhouettes_draw_the_outline_to_the_rays() -> None:
+    """Eq. 1 with silhouettes of the garment swung aside, the more so the more weight it has."""
+    body, faces, garment = body_and_garment(16, 6)
+    aside = garment.rest_vertices.clone()
+    aside[:, 0] += 0.08 * (0.05 - aside[:, 1])
+    rays = seen(SimulationLayer(garment, faces), aside, body, ring_of_cameras(2))
+    left = []
+    for weight in (1e-6, 0.3, 5.0):
+        layer = SimulationLayer(garment, faces, settings=LayerSettings(silhouette_weight=weight))
+        x = garment.rest_vertices
+        layer.contact.body.move(body.numpy())
+        for _ in range(2):
+            step = layer.step(x, torch.zeros_like(x), body, body, 1 / 30, silhouettes=rays)
+            assert step.converged
+            x = step.positions
+        left.append(distance(layer, rays, x))
+    assert left[2] < left[1] < left[0]
+    assert left[2] < 0.5 * left[0], left
+    # What is left where the cloth is the one that was seen: pixels, and distances between vertices.
+    assert distance(layer, rays, aside) < 0.6 * left[0]
+
+
+def test_the_silhouette_potential_has_its_gradient() -> None:
+    body, faces, garment = body_and_garment(12, 5)
+    layer = SimulationLayer(garment, faces)
+    layer.contact.body.move(body.numpy())
+    x = garment.rest_vertices.numpy()
+    rays = seen(layer, garment.rest_vertices + torch.tensor([0.01, 0.0, 0.0]), body, ring_of_cameras(3))
+    outline = Outline(layer.cloth.topology, layer.contact.body)
+    potential = SilhouettePotential(outline, rays, 2.0, 0.3, 0.1, x)
+    free = np.ones(x.shape)
+    generator = np.random.default_rng(0)
+    at, direction = x + 0.01 * generator.normal(size=x.shape), generator.normal(size=x.shape)
+    ends = [potential.total(at + sign * 1e-5 * direction, free) for sign in (1.0, -1.0)]
+    assert (ends[0] - ends[1]) / 2e-5 == pytest.approx((potential.gradient(at) * direction).sum(), rel=1e-6)
+    assert np.abs(potential.gradient(x)).max() > 0.0
+
+
+def test_pixels_of_the_body_are_no_silhouette_of_the_garment() -> None:
+    camera = Camera(100.0, 100.0, 4.0, 4.0, 8, 8)
+    garment = np.zeros((8, 8), bool)
+    garment[3:5, 2:6] = True
+    person = garment.copy()
+    person[1:3, 2:6] = True
+    rays = SilhouetteRays.of_mask(camera, garment, person)
+    # The sides and the lower edge, not the upper one, which the body continues.
+    assert len(rays.directions) == 2 + 2 + 4
+    assert rays.directions[:, 1].min() > -0.01 / 1
