@@ -115,10 +115,10 @@ def other_walls(
     normals: wp.array(dtype=wp.vec3d),
     distances: wp.array(dtype=wp.float64),
 ):
-    """As nearest_places, among faces that make a crease with a wall at a known place and of a known direction.
+    """As nearest_places, among faces that make a crease with a wall of known place and direction.
 
-    Their normal's product with the direction is below ``turned``; both walls lie before each other, or what is
-    found is the far side of something thin; and the way to the point runs along the normal, or the face is
+    Their normal's product with the direction is below ``turned``; both walls lie before each other, or what
+    is found is the far side of something thin; and the way to the point runs along the normal, or the face is
     seen across a ridge.
     """
     i = wp.tid()
