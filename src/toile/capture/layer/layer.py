@@ -149,13 +149,15 @@ class SimulationLayer:
         self.body_faces = body_faces
         self._terms = tuple(terms)
         material = garment.material
+        # With angles of their own at rest hinges have a jump of energy where they are folded completely,
+        # which Newton's method can't pass.
         self.cloth = mesh_cloth(
             garment.rest_vertices,
             garment.faces,
             material.density,
             tuple(garment.attached.tolist()),
             membrane,
-            flat=False,
+            flat=True,
         )
         self._n_body = int(body_faces.max()) + 1 if inactive is None else len(inactive)
         self.contact = BodyContact(

@@ -57,7 +57,7 @@ class ContactSettings:
 
     stiffness: Positive = 6e5
     thickness: NonNegative = 0.003
-    body_thickness: NonNegative = 0.001
+    body_thickness: NonNegative = 0.0015
     smoothing: Positive = 5e-4
     hardening: Positive = 1e-3
     sticking_speed: Positive = 5e-3
