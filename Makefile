@@ -105,7 +105,7 @@ robustness: setup ## Give every command bad input: docs/robustness.md; resumes
 	$(BIN)/python benchmarks/robustness.py
 
 # Ablations: what a sweep covers. RECIPE=tracking is the default recipe, paper the paper's with its network
-# (PROTOCOL=short at 0.4 times the length, or whole: a night for R1), adam the paper's optimisation in ours.
+# (PROTOCOL=short: first 20 frames, 60 cycles; whole: 50 frames, 250 cycles, a night for R1), adam the paper's optimisation in ours.
 # Nothing in the latter two is random: one fit, measured with every seed.
 RECIPE ?= tracking
 PROTOCOL ?= short

@@ -28,9 +28,11 @@ PUBLISHED_SEEDS = 0
 """Seeds of a cell that has nothing but a published value."""
 PUBLISHED = ", published"
 """Follows the name of a scene whose column holds published values."""
+_OTHERS = "Columns with “published”: other recordings, whole clips"
 _TIMES = {SECONDS: "Time of the fit", PROCESSOR_SECONDS: "Processor time of the fit"}
 _BASE = "none"
 _DIGITS = 3  # significant ones of a mean
+_NO_DEVIATION = 1e-6  # relative to the mean: what draws no samples differs by rounding
 
 
 def read_published() -> pd.DataFrame:
@@ -52,18 +54,22 @@ def ablation_cells(
 
     Returns:
         Columns metric, title, unit, higher_is_better, ablation, scene, seeds (how many; PUBLISHED_SEEDS where
-        nothing was measured), mean, deviation (NaN for one seed), published (NaN where there is none),
-        source, and runs (paths below the sweep's folder).
+        nothing was measured), mean, deviation (NaN for one seed), published (NaN where there is none, and
+        where only first frames were fitted: published values are of whole clips), source, and runs (paths
+        below the sweep's folder).
+        A metric that the ground truth of no scene allows has no rows.
 
     Raises:
-        InputError: the runs differ in something else, no run has one of the metrics, or there are several
-            fits in a cell and several seeds of their metrics.
+        InputError: the runs differ in something else, no run has one of the metrics though it might, or there
+            are several fits in a cell and several seeds of their metrics.
     """
     _check_factors(sweep)
     metrics = _with_processor(sweep, metrics)
     rows = []
     for metric in metrics:
         values = [_values(run, metric) for run in sweep.runs]
+        if not any(values) and all(_skipped(run, metric) for run in sweep.runs):
+            continue
         if not any(values):
             raise InputError(
                 "No run has this metric", where=str(sweep.folder), expected=_known(sweep), got=metric
@@ -98,7 +104,8 @@ def ablation_cells(
     known = published.rename(columns={"value": "published"})[
         ["metric", "scene", "ablation", "published", "source"]
     ]
-    cells = cells.merge(known, how="left", on=["metric", "scene", "ablation"])
+    cut = {run.evaluation.scene for run in sweep.runs if _setting(run, "scene.n_frames") is not None}
+    cells = cells.merge(known[~known.scene.isin(cut)], how="left", on=["metric", "scene", "ablation"])
     cells = pd.concat([cells, *_published_rows(cells, known, beside)], ignore_index=True)
     return cells[[*keys, "seeds", "mean", "deviation", "published", "source", "runs"]]
 
@@ -206,7 +213,7 @@ def caption(sweep: Sweep, cells: pd.DataFrame, metric: str) -> str:
     ]
     for rows, words in (
         (own[own.seeds != PUBLISHED_SEEDS], "In brackets the published value of the same cell"),
-        (own[own.seeds == PUBLISHED_SEEDS], f"Columns with “{PUBLISHED.strip()}”: other recordings"),
+        (own[own.seeds == PUBLISHED_SEEDS], _OTHERS),
     ):
         sources = sorted(set(rows.source.dropna()))
         if sources:
@@ -322,6 +329,7 @@ def write_tables(
         InputError: see ablation_cells.
     """
     cells = ablation_cells(sweep, metrics, read_published(), beside)
+    metrics = [metric for metric in metrics if (cells.metric == metric).any()]
     markdown, latex = [note] if note else [], []
     for metric in metrics:
         words = caption(sweep, cells, metric)
@@ -407,6 +415,11 @@ def _values(run: Run, metric: str) -> list[float]:
     return [m.mean for m in found if m is not None and not math.isnan(m.mean)]
 
 
+def _skipped(run: Run, metric: str) -> bool:
+    """Whether the run's scene does not allow the metric, or the one that it is another unit of."""
+    return any(metric == key or metric.startswith(f"{key}_") for key in run.evaluation.skipped)
+
+
 def _title(run: Run, metric: str) -> tuple[str, str]:
     if metric in _TIMES:
         return _TIMES[metric], "s"
@@ -424,8 +437,10 @@ def _cell(row: Any, pm: str) -> str:
     if row.seeds == PUBLISHED_SEEDS:
         return f"{row.published:g}"
     digits = max(0, _DIGITS - 1 - math.floor(math.log10(abs(row.mean)))) if row.mean else 0
-    text = f"{row.mean:.{digits}f}"
-    return text if math.isnan(row.deviation) or not row.deviation else f"{text}{pm}{row.deviation:.{digits}f}"
+    if math.isnan(row.deviation) or row.deviation < _NO_DEVIATION * abs(row.mean):
+        return f"{row.mean:.{digits}f}"
+    digits = max(digits, -math.floor(math.log10(row.deviation)))
+    return f"{row.mean:.{digits}f}{pm}{row.deviation:.{digits}f}"
 
 
 def _in_brackets(row: Any) -> str:

@@ -144,6 +144,41 @@ def test_two_runs_of_one_cell_are_refused(root: Path) -> None:
         cells_of(root, "chamfer")
 
 
+def test_published_values_of_whole_clips_do_not_stand_beside_a_few_frames(tmp_path: Path) -> None:
+    for ablation in ("none", "no_uv"):
+        make_run(tmp_path, "R3", ablation, 0, 2.0, 1.0)
+        make_run(tmp_path, "R4", ablation, 0, 2.0, 1.0)
+        config = tmp_path / "R3" / ablation / "seed0" / "config.yaml"
+        config.write_text(
+            yaml.safe_dump(yaml.safe_load(config.read_text()) | {"scene": {"name": "R3", "n_frames": 20}})
+        )
+    cells = ablation_cells(read_sweep([tmp_path]), ["chamfer"], read_published(), ["R3", "R5"])
+    table = formatted(cells, "chamfer", ORDER, "{}", " ± ")
+    assert list(table.columns) == ["R3", "R4", "R5, published"]
+    assert list(table.loc["no_uv"]) == ["2.00", "2.00 (24.1)", "14.5"]
+
+
+def test_a_small_deviation_has_a_digit(measured_twice: Sweep) -> None:
+    cells = ablation_cells(measured_twice, ["chamfer"], read_published())
+    for deviation, text in ((0.0012, "4.000 ± 0.001"), (0.5, "4.00 ± 0.50"), (1e-12, "4.00")):
+        table = formatted(cells.assign(deviation=deviation), "chamfer", ORDER, "{}", " ± ")
+        assert table.loc["none", "R1"].startswith(text)
+        assert ("±" in table.loc["none", "R1"]) == ("±" in text)
+
+
+def test_what_no_scene_allows_has_no_table(measured_twice: Sweep, tmp_path: Path) -> None:
+    reason = {"vertex_error": "the scene has no true vertices"}
+    runs = [replace(r, evaluation=replace(r.evaluation, skipped=reason)) for r in measured_twice.runs]
+    sweep = replace(measured_twice, runs=tuple(runs))
+    _, markdown, _ = write_tables(
+        sweep, ["chamfer", "vertex_error_percent", SECONDS], ORDER, tmp_path, "t", ""
+    )
+    titles = [line for line in markdown.read_text().splitlines() if line.startswith("## ")]
+    assert titles == ["## Chamfer distance", "## Time of the fit", "## Runs"]
+    with pytest.raises(InputError, match="No run has this metric"):
+        ablation_cells(measured_twice, ["vertex_error_percent"], read_published())
+
+
 def test_an_unknown_metric_names_the_known_ones(root: Path) -> None:
     with pytest.raises(InputError, match=r"chamfer, iou, seconds, vertices"):
         cells_of(root, "nonsense")
