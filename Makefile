@@ -146,7 +146,7 @@ $(ABLATION_SCENES)/%/scene.json: | $(READY)
 ablations: setup $(GENERATED:%=$(ABLATION_SCENES)/%/scene.json) ## Fit with one part removed at a time: docs/results/ablations_*; runs what is missing
 	@status=0; $(call sweep,$(SCENES),$(SEEDS)) $(call sweep,$(GENERATED:%=$(ABLATION_SCENES)/%),$(GENERATED_SEEDS),$(SHORT_CLIP)) \
 	$(BIN)/toile tables $(SWEEP) name=$(TABLE) output=docs/results $(MEASURED) \
-		note="'Made by \`make ablations RECIPE=$(RECIPE)$(if $(filter paper,$(RECIPE)), PROTOCOL=$(PROTOCOL))\`.'"; exit $$status
+		note="'Made by \`make ablations RECIPE=$(RECIPE)$(if $(filter paper,$(RECIPE)), PROTOCOL=$(PROTOCOL))\`: $(call list,$(ABLATIONS)) on $(call list,$(SCENES) $(GENERATED)); what is not in a table has not run.'"; exit $$status
 
 # Blind check of the diagnosis: BLIND=tiny, standard or full. A new set every time: BLIND_NAME is its folder.
 BLIND ?= standard

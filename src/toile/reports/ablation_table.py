@@ -50,7 +50,7 @@ def ablation_cells(
         sweep: runs that differ in ablation, scene and seed.
         metrics: keys of metrics.json, or SECONDS for the time of the fit, which brings PROCESSOR_SECONDS.
         published: see read_published.
-        beside: scenes whose published values of the same ablations follow as rows of their own.
+        beside: scenes whose published values follow as rows of their own, also of ablations that no run has.
 
     Returns:
         Columns metric, title, unit, higher_is_better, ablation, scene, seeds (how many; PUBLISHED_SEEDS where
@@ -117,13 +117,11 @@ def _with_processor(sweep: Sweep, metrics: Sequence[str]) -> list[str]:
 
 
 def _published_rows(cells: pd.DataFrame, known: pd.DataFrame, beside: Sequence[str]) -> list[pd.DataFrame]:
-    """Rows of what others have published of the same ablations on scenes that were not measured here."""
+    """Rows of what others have published on scenes that were not measured here."""
     found = []
     for metric, own in cells.groupby("metric", sort=False):
         others = [scene for scene in beside if scene not in set(own.scene)]
-        rows = known[
-            (known.metric == metric) & known.scene.isin(others) & known.ablation.isin(set(own.ablation))
-        ]
+        rows = known[(known.metric == metric) & known.scene.isin(others)]
         if len(rows):
             same = {name: own[name].iloc[0] for name in ("title", "unit", "higher_is_better")}
             order = rows.scene.map(list(beside).index)

@@ -232,15 +232,17 @@ def test_time_of_the_processor_stands_beside_that_of_the_clock(measured_twice: S
     assert "on the clock / of the processor" in caption(measured_twice, cells, SECONDS)
 
 
-def test_published_scenes_have_columns_of_the_ablations_that_were_run(measured_twice: Sweep) -> None:
+def test_published_scenes_have_columns_and_rows_of_their_own(measured_twice: Sweep) -> None:
     cells = ablation_cells(measured_twice, ["chamfer"], read_published(), ["R4", "R3", "R1"])
     table = formatted(cells, "chamfer", ORDER, "**{}**", " ± ")
     assert list(table.columns) == ["R1", "R4, published", "R3, published"]
-    assert list(table.index) == ["none", "no_silhouette"]
-    assert list(table["R3, published"]) == ["12.5", "13.8"]
+    assert list(table.index)[:3] == ["none", "no_uv", "no_silhouette"]
+    assert set(table.index) == ABLATIONS
+    assert list(table["R3, published"])[:3] == ["12.5", "13.3", "13.8"]
+    assert table.loc["no_uv", "R1"] == "–"
     assert table.loc["none", "R1"] == "**4.00 ± 2.83** (6.05)"
     ratios = relative(cells, "chamfer", ORDER)
-    assert list(ratios.index) == ["no_silhouette"]
+    assert list(ratios.loc["no_turbulence"]) == ["–", "3.17", "1.68"]
     assert list(ratios.loc["no_silhouette"]) == ["1.25", "1.01", "1.1"]
 
 
@@ -249,7 +251,7 @@ def test_files_with_published_columns_have_no_gaps(measured_twice: Sweep, tmp_pa
         measured_twice, ["chamfer", SECONDS], ORDER, tmp_path, "t", "", ["R3", "R4", "R5", "R7", "R8", "R9"]
     )
     csv, markdown, latex = (path.read_text() for path in paths)
-    assert len(csv.splitlines()) == 1 + 2 * 3 + 2 * 6 + 6
+    assert len(csv.splitlines()) == 1 + 2 * 3 + 6 * 6 + 6
     for text in (csv, markdown, latex):
         assert not re.search(r"\bnan\b", text, re.IGNORECASE)
     assert "relative to none" in markdown
