@@ -162,6 +162,7 @@ def of_evaluation(metrics: dict[str, Any]) -> dict[str, float]:
     return {
         "chamfer x1e4 [m²]": mean_of(metrics, "chamfer"),
         "chamfer, last fifth of the frames": float(per_frame[-max(1, len(per_frame) // 5) :].mean()),
+        "point to surface [mm]": mean_of(metrics, "point_to_surface"),
         "silhouette IoU": mean_of(metrics, "silhouette_iou"),
     }
 

@@ -2,9 +2,10 @@
 
     python benchmarks/results.py                      # everything the data folder allows
     python benchmarks/results.py --only R1 --seeds 0  # a part
+    python benchmarks/results.py --only --no-identification --variants "backward Euler"  # one variant anew
 
 Runs one fit after the other (two at a time would compete for the cores), skips runs that have finished, and
-writes docs/results/results.csv, results.md, identification.md and, with --variants, variants.md.
+writes docs/results/results.csv, results.md, identification.md and, with --variants, variants.csv and .md.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import argparse
 import json
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +46,8 @@ VARIANTS = {
     "equal rest lengths": [_ALONE, "cloth/rest_lengths=uniform"],
     "the paper's recipe, exact solver": ["experiment=paper"],
 }
+# Fits of half an hour that another command makes: rows of docs/results/paper_recipe.csv.
+OF_PAPER_RECIPE = {"the paper's recipe, exact solver": "solver"}
 
 # As re-evaluated in 2025 on R1 without alignment (nsft), and the papers' own times.
 PUBLISHED = (
@@ -87,7 +91,7 @@ def reconstruction_table(only: list[str] | None, seeds: list[int], outputs: Path
     rows = []
     cases = [("R1", ["scene=R1"], seeds)] + [(n, [f"scene.name={n}"], seeds[:1]) for n in INDEPENDENT]
     for name, scene, its_seeds in cases:
-        if only and name not in only:
+        if only is not None and name not in only:
             continue
         for seed in its_seeds:
             folder = outputs / f"{name}_seed{seed}"
@@ -111,10 +115,24 @@ def reconstruction_table(only: list[str] | None, seeds: list[int], outputs: Path
     return pd.DataFrame(rows)
 
 
-def variants_table(outputs: Path) -> pd.DataFrame:
-    """R1 with one factor changed at a time."""
+def variants_table(outputs: Path, names: Sequence[str], stored: Path) -> pd.DataFrame:
+    """R1 with one factor changed at a time; the paper's recipe as ``make paper-recipe`` has it.
+
+    Args:
+        outputs: folder of the runs.
+        names: of the variants to run; none for all. Rows of the others are as they were.
+        stored: table of an earlier call, if there is one.
+    """
+    before = pd.read_csv(stored).set_index("variant") if stored.exists() else pd.DataFrame()
     rows = []
     for name, overrides in VARIANTS.items():
+        if names and name not in names:
+            if name in before.index:
+                rows.append({"variant": name, **before.loc[name]})
+            continue
+        if name in OF_PAPER_RECIPE:
+            rows += paper_recipe_row(name, stored.parent / "paper_recipe.csv")
+            continue
         folder = outputs / ("variant_" + name.replace(" ", "_").replace(",", "").replace("'", ""))
         metrics = fit(["scene=R1"], folder, 0, *overrides)
         if metrics is None:
@@ -126,10 +144,28 @@ def variants_table(outputs: Path) -> pd.DataFrame:
                 "point to surface [mm]": mean_of(metrics, "point_to_surface"),
                 "silhouette IoU": mean_of(metrics, "silhouette_iou"),
                 "fit [s]": metrics["fit"]["seconds of the fit"],
+                "processor [s]": metrics["fit"].get("processor seconds of the fit"),
                 "overrides": " ".join(f"`{o}`" for o in overrides),
             }
         )
     return pd.DataFrame(rows)
+
+
+def paper_recipe_row(name: str, table: Path) -> list[dict[str, Any]]:
+    """The row of a variant that ``make paper-recipe`` has measured; none if it has not."""
+    found = pd.read_csv(table) if table.exists() else pd.DataFrame(columns=["part", "case", "seed"])
+    found = found[(found.part == "fits") & (found.case == OF_PAPER_RECIPE[name])].sort_values("seed")
+    same = ("chamfer x1e4 [m²]", "point to surface [mm]", "silhouette IoU")
+    return [
+        {
+            "variant": name,
+            **{key: row.get(key) for key in same},
+            "fit [s]": row["wall [s]"],
+            "processor [s]": row["cpu [s]"],
+            "overrides": " ".join(f"`{o}`" for o in VARIANTS[name]),
+        }
+        for _, row in found.head(1).iterrows()
+    ]
 
 
 def identification_table(outputs: Path) -> pd.DataFrame:
@@ -219,11 +255,17 @@ def insert(file: Path, marker: str, text: str) -> None:
 def main() -> None:
     """See the module's text."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--only", nargs="*", help="scene names")
+    parser.add_argument("--only", nargs="*", help="scene names; nothing for no scene")
     parser.add_argument("--seeds", nargs="*", type=int, default=[0, 1, 2])
     parser.add_argument("--outputs", type=Path, default=ROOT / "outputs" / "results")
     parser.add_argument("--no-identification", action="store_true")
-    parser.add_argument("--variants", action="store_true", help="also vary one factor at a time (20 minutes)")
+    parser.add_argument(
+        "--variants",
+        nargs="*",
+        choices=list(VARIANTS),
+        metavar="NAME",
+        help="also vary one factor at a time (half an hour), or these factors alone",
+    )
     options = parser.parse_args()
     options.outputs.mkdir(parents=True, exist_ok=True)
     docs = ROOT / "docs" / "results"
@@ -253,9 +295,11 @@ def main() -> None:
             text = markdown(found, ".4g")
             (docs / "identification.md").write_text(text + "\n")
             print(text)
-    if options.variants:
-        varied = variants_table(options.outputs.resolve())
+    if options.variants is not None:
+        stored = docs / "variants.csv"
+        varied = variants_table(options.outputs.resolve(), options.variants, stored)
         if len(varied):
+            varied.to_csv(stored, index=False, float_format="%.5g")
             text = markdown(varied, ".3g")
             (docs / "variants.md").write_text(text + "\n")
             print(text)

@@ -80,6 +80,7 @@ def _block(translator: Any, node: nodes.math_block) -> None:
 # Tables that other pages hold as they are have no title of their own.
 TITLES = {
     "results/ablations_tracking": "Ablations of the default recipe (`make ablations`)",
+    "results/ablations_paper": "Ablations of the paper's recipe (`make ablations RECIPE=paper`)",
     "results/identification": "Stiffness and wind of a generated scene (`make results`)",
     "results/masks": "Masks (`make masks`)",
     "results/results": "Every scene (`make results`)",

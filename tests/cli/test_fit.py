@@ -84,6 +84,7 @@ def test_a_run_folder_holds_everything(toile: Toile, tmp_path: Path) -> None:
     assert metrics["metrics"]["out_of_balance"]["mean"] < 0.3
     assert metrics["fit"]["cycles"] == 6
     assert 0 < metrics["fit"]["seconds of the fit"] < metrics["fit"]["seconds in total"]
+    assert metrics["fit"]["processor seconds of the fit"] > 0
     assert metrics["machine"]["processors"] >= 1
     trajectory = read_trajectory(run)
     assert trajectory.positions.shape == (5, 8, 8, 3)

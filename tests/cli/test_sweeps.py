@@ -14,7 +14,7 @@ import pandas as pd
 import pytest
 
 from toile.learning.fit.module import FitModule
-from toile.reports.run_folder import RunFolder, read_trajectory
+from toile.reports.run_folder import RunFolder, read_metrics, read_trajectory
 from toile.scenes.native import write_native
 from toile.scenes.scene import Scene
 
@@ -118,6 +118,34 @@ def test_tables_stand_beside_the_runs_unless_asked_for_elsewhere(toile: Toile, t
     assert outcome.status == 2
     assert "output=<folder>" in outcome.err
     assert set(tmp_path.iterdir()) == before
+
+
+def test_the_papers_fits_differ_by_nothing_but_their_settings(toile: Toile) -> None:
+    """So its table is made of one fit a cell, measured with several seeds of the metric's samples."""
+    network = ("optimization=adam", "simulator=surrogate", "simulator/gradient=backprop")
+    for seed in (0, 1):
+        outcome = toile("fit", *SHORT, *network, f"seed={seed}", f"hydra.run.dir=runs/{seed}")
+        assert outcome.status == 0, outcome.err
+    first, second = (RunFolder(Path("runs") / name) for name in "01")
+    np.testing.assert_array_equal(read_trajectory(first).positions, read_trajectory(second).positions)
+
+    make = ("tables", "runs/0", "seeds=[0,1]", "metrics=[chamfer]")
+    outcome = toile(*make)
+    assert outcome.status == 0, outcome.err
+    cell = pd.read_csv("runs/0/tables/ablations.csv").iloc[0]
+    both = [read_metrics(run)["metrics"]["chamfer"]["mean"] for run in (first, second)]
+    assert cell.seeds == 2
+    assert (cell["mean"], cell.deviation) == pytest.approx((np.mean(both), np.std(both, ddof=1)), rel=1e-9)
+    assert cell.deviation > 0
+
+    # Measured once, and again when the motion is another.
+    stored = first.metrics_of_seed(1)
+    before = stored.stat().st_mtime_ns
+    assert toile(*make).status == 0
+    assert stored.stat().st_mtime_ns == before
+    os.utime(first.trajectory)
+    assert toile(*make).status == 0
+    assert stored.stat().st_mtime_ns > before
 
 
 def test_an_unknown_metric_is_one_clear_message(toile: Toile) -> None:

@@ -116,10 +116,27 @@ def test_an_ablation_changes_one_factor(optimization: str, name: str, expected: 
     assert found == expected
 
 
+@pytest.mark.parametrize("experiment", ["paper", "paper_network", "paper_network_short"])
 @pytest.mark.parametrize("name", OF_OPTIMIZATION["adam"])
-def test_an_ablation_of_the_papers_experiment_is_one_of_its_optimisation(name: str) -> None:
-    found = changes(settings("experiment=paper"), settings("experiment=paper", f"ablation={name}"))
+def test_an_ablation_of_the_papers_experiment_is_one_of_its_optimisation(experiment: str, name: str) -> None:
+    base = f"experiment={experiment}"
+    found = changes(settings(base), settings(base, f"ablation={name}"))
     assert found == {"ablation": name} | OF_OPTIMIZATION["adam"][name]
+
+
+def test_the_papers_experiment_with_its_network_is_that_of_the_solver_but_for_the_simulator() -> None:
+    by_hand = ("experiment=paper", "simulator=surrogate", "simulator/gradient=backprop")
+    assert not changes(settings(*by_hand), settings("experiment=paper_network"))
+
+
+def test_the_short_experiment_is_the_papers_but_for_its_length() -> None:
+    whole = settings("experiment=paper_network")
+    changed = changes(whole, settings("experiment=paper_network_short"))
+    assert set(changed) == {"scene.n_frames", "optimization.cycles", "optimization.cycles_per_frame"}
+    growing = changed["optimization.cycles_per_frame"] * (
+        changed["scene.n_frames"] - whole["optimization.first_frames"]
+    )
+    assert 0 < growing < changed["optimization.cycles"], "every frame is covered before the end"
 
 
 def test_an_ablation_that_an_optimisation_does_not_know_is_no_silent_repetition() -> None:

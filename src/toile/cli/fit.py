@@ -121,7 +121,7 @@ def finished_fit(cfg: DictConfig) -> FinishedFit:
         seed=cfg.seed,
         out_of_balance=residual_force(module.reconstruction, trajectory),
     )
-    seconds = Seconds(fitted.seconds, time.perf_counter() - started)
+    seconds = Seconds(fitted.seconds, time.perf_counter() - started, fitted.processor_seconds)
     write_numbers(folder, module, trajectory, evaluation, seconds, warnings)
     write_final_numbers(cfg, folder, config)
     if last_picture(folder, cfg.report):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -42,10 +43,12 @@ class Seconds(NamedTuple):
     Attributes:
         cycles: all cycles of all tries.
         command: the command so far.
+        processor: of the processor in those cycles; NaN where that is not known.
     """
 
     cycles: float
     command: float
+    processor: float
 
 
 def write_motion(folder: RunFolder, module: FitModule, trajectory: Tensor) -> None:
@@ -91,6 +94,7 @@ def write_numbers(
         "fit": {
             "cycles": module.cycles_done,
             "seconds of the fit": seconds.cycles,
+            "processor seconds of the fit": None if math.isnan(seconds.processor) else seconds.processor,
             "seconds in total": seconds.command,
             "last losses": {k: v for k, v in module.history[-1].items() if k.startswith("loss")}
             if module.history

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import signal
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -17,7 +18,7 @@ from toile.cli.checkpoints import check_checkpoint
 from toile.cli.configuration import instantiate
 from toile.cli.resume import checkpoint_path
 from toile.cli.trainer import make_trainer
-from toile.learning.fit.module import STATE, CyclesOfFit, FitModule
+from toile.learning.fit.module import PROCESSOR_SECONDS, STATE, CyclesOfFit, FitModule
 from toile.reconstruction.fitted_motion import final_trajectory
 from toile.reconstruction.lost_cloth import LostClothGuard
 from toile.reconstruction.problem import Reconstruction
@@ -47,6 +48,7 @@ class Fitted:
         interrupted: in which try: "", "fit" or "second try".
         warnings: where the cloth is lost, for the console, the log and the page.
         seconds: of all cycles of all tries.
+        processor_seconds: of the same cycles, see PROCESSOR_SECONDS.
     """
 
     module: FitModule
@@ -54,6 +56,7 @@ class Fitted:
     interrupted: str
     warnings: tuple[str, ...]
     seconds: float
+    processor_seconds: float
 
 
 def fit_with_guard(
@@ -75,11 +78,11 @@ def fit_with_guard(
     interrupted = optimise(cfg, module, checkpoint)
     if interrupted:
         motion = None if module.cycles_done == 0 else _trajectory(module)
-        return Fitted(module, motion, "fit", (), _seconds(module))
+        return Fitted(module, motion, "fit", (), *_seconds(module))
     trajectory = _trajectory(module)
     guard: LostClothGuard = instantiate(cfg.lost_cloth)
     kept = guard.first_lost(module.reconstruction, trajectory)
-    first = Fitted(module, trajectory, "", _lost(kept, scene), _seconds(module))
+    first = Fitted(module, trajectory, "", _lost(kept, scene), *_seconds(module))
     if kept == scene.n_frames or guard.mask_factor is None:
         return _said(first)
     heavier = instantiate(cfg.optimization).with_heavier_silhouette(guard.mask_factor)
@@ -92,16 +95,17 @@ def fit_with_guard(
     second = FitModule(make(cfg, scene), heavier, cfg.seed)
     last = checkpoint_path(place)
     interrupted = optimise(_moved(cfg, folder.path, place.path), second, last if last.is_file() else None)
-    seconds = first.seconds + _seconds(second)
+    used = [a + b for a, b in zip((first.seconds, first.processor_seconds), _seconds(second), strict=True)]
+    first = replace(first, seconds=used[0], processor_seconds=used[1])
     if interrupted:
-        return replace(_said(first), interrupted="second try", seconds=seconds)
+        return replace(_said(first), interrupted="second try")
     motion = _trajectory(second)
     kept_now = guard.first_lost(second.reconstruction, motion)
     if kept_now <= kept:
-        return _said(replace(first, seconds=seconds))
+        return _said(first)
     note = f"[warning] The first try lost the cloth in frame {kept}; this is a second one with a silhouette "
     note += f"{guard.mask_factor:g} times heavier in its first stage"
-    return _said(Fitted(second, motion, "", (note, *_lost(kept_now, scene)), seconds))
+    return _said(Fitted(second, motion, "", (note, *_lost(kept_now, scene)), *used))
 
 
 def optimise(cfg: DictConfig, module: FitModule, checkpoint: Path | None) -> bool:
@@ -129,8 +133,11 @@ def _trajectory(module: FitModule) -> Tensor:
     return final_trajectory(module.reconstruction, module.recipe.substep_positions())
 
 
-def _seconds(module: FitModule) -> float:
-    return float(sum(row["seconds"] for row in module.history))
+def _seconds(module: FitModule) -> tuple[float, float]:
+    """On the clock, and of the processor; a checkpoint of an older version lacks the latter: then NaN."""
+    columns = ("seconds", PROCESSOR_SECONDS)
+    wall, processor = (float(sum(row.get(c, math.nan) for row in module.history)) for c in columns)
+    return wall, processor
 
 
 def _lost(kept: int, scene: Scene) -> tuple[str, ...]:

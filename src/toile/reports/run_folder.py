@@ -7,6 +7,7 @@
       git_revision      revision of the code
       metrics.json      numbers, with their protocols
       overrides.yaml    what the run was started with, for resume=
+      metrics_seed<k>.json  the same with another seed of the samples, where a table asked for it
       trajectory.npz    positions (F, H, W, 3) float64 [m], camera frame; times, faces, camera, gravity; one
                         array per parameter (see SavedTrajectory)
       history.csv       one row per optimisation cycle
@@ -76,6 +77,10 @@ class RunFolder:
     def metrics(self) -> Path:
         """Numbers with their protocols (JSON)."""
         return self.path / "metrics.json"
+
+    def metrics_of_seed(self, seed: int) -> Path:
+        """Numbers with another seed of the samples (JSON)."""
+        return self.path / f"metrics_seed{seed}.json"
 
     @property
     def trajectory(self) -> Path:

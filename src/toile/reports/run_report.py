@@ -135,7 +135,7 @@ def reported_facts(run: RunFolder, metrics: Mapping[str, Any]) -> dict[str, str]
     facts = {}
     fit, machine = metrics.get("fit"), metrics.get("machine")
     if isinstance(fit, Mapping):
-        for name in ("cycles", "seconds of the fit", "seconds in total"):
+        for name in ("cycles", "seconds of the fit", "processor seconds of the fit", "seconds in total"):
             value = fit.get(name)
             if isinstance(value, int | float):
                 facts[name] = f"{value:.3g}" if isinstance(value, float) else str(value)

@@ -36,6 +36,8 @@ class Run:
         overrides: what was asked for on the command line, where that is known.
         parameters: end values of the stiffnesses, by name with unit.
         seconds: time of the fit [s], or None.
+        processor_seconds: the same of the processor, or None.
+        other_seeds: the same motion measured with other seeds of the metrics' samples.
     """
 
     folder: RunFolder
@@ -45,6 +47,8 @@ class Run:
     overrides: tuple[str, ...] = ()
     parameters: Mapping[str, float] = field(default_factory=dict)
     seconds: float | None = None
+    processor_seconds: float | None = None
+    other_seeds: tuple[EvaluationResult, ...] = ()
 
     @property
     def seed(self) -> str:
@@ -218,7 +222,6 @@ def _read(folder: RunFolder, name: str) -> Run | Unfinished:
         evaluation = EvaluationResult.from_dict(metrics)
         settings = read_settings(read_config(folder), str(folder.config)) if folder.config.is_file() else {}
         fit = metrics.get("fit")
-        seconds = fit.get("seconds of the fit") if isinstance(fit, dict) else None
         return Run(
             folder,
             name,
@@ -226,10 +229,16 @@ def _read(folder: RunFolder, name: str) -> Run | Unfinished:
             settings,
             _overrides(folder.path),
             _parameters(folder),
-            float(seconds) if isinstance(seconds, int | float) else None,
+            _number(fit, "seconds of the fit"),
+            _number(fit, "processor seconds of the fit"),
         )
     except InputError as error:
         return _unfinished(folder, name, str(error))
+
+
+def _number(fit: Any, name: str) -> float | None:
+    value = fit.get(name) if isinstance(fit, Mapping) else None
+    return float(value) if isinstance(value, int | float) else None
 
 
 def _unfinished(folder: RunFolder, name: str, reason: str) -> Unfinished:

@@ -21,6 +21,8 @@ STATE = "toile_fit"
 """Key in Lightning's checkpoint."""
 PER_FRAME = "loss per frame"
 """Column of the history: the loss over the number of frames that it is a sum over."""
+PROCESSOR_SECONDS = "processor seconds"
+"""Column of the history: processor time of a cycle, which other programs on the machine do not lengthen."""
 _COUNTS = "_iterations"  # a recipe's numbers that are work, not losses, end like this
 
 
@@ -74,10 +76,11 @@ class FitModule(LightningModule):
 
     def training_step(self, batch: int, batch_idx: int) -> None:
         """Run the next cycle."""
-        started = time.perf_counter()
+        started, processor = time.perf_counter(), time.process_time()
         report = self.recipe.cycle(self.reconstruction, self.cycles_done)
-        seconds = time.perf_counter() - started
+        seconds, processor = time.perf_counter() - started, time.process_time() - processor
         self.history.append(row(self.cycles_done, self.cloth_parameters, report, seconds, self.effects))
+        self.history[-1][PROCESSOR_SECONDS] = processor
         self.report = report
         self.cycles_done += 1
         self._complete = self._snapshot()

@@ -12,7 +12,7 @@ import torch
 from lightning import Callback, Trainer
 
 from toile.learning.fit.callbacks.progress import FitProgress
-from toile.learning.fit.module import CyclesOfFit, FitModule
+from toile.learning.fit.module import PROCESSOR_SECONDS, CyclesOfFit, FitModule
 from toile.learning.last_checkpoint import LastCheckpoint
 from toile.reconstruction.adam import SuccessiveFramesAdam
 from toile.reconstruction.problem import Reconstruction
@@ -56,7 +56,7 @@ def fit(module: FitModule, *callbacks: Callback, checkpoint: Path | None = None)
 
 
 def without_times(history: list[dict[str, float]]) -> list[dict[str, float]]:
-    return [{k: v for k, v in row.items() if k != "seconds"} for row in history]
+    return [{k: v for k, v in row.items() if k not in ("seconds", PROCESSOR_SECONDS)} for row in history]
 
 
 def assert_identical(a: FitModule, b: FitModule) -> None:
@@ -105,6 +105,18 @@ def test_resuming_from_a_regular_checkpoint(problem: MakeProblem, adam: MakeAdam
         fit(FitModule(problem(), adam(), 0), saving, StopAt(8, spoil=False))
     assert torch.load(saving.path, weights_only=True)["toile_fit"]["cycles_done"] == 6
     assert_identical(fit(FitModule(problem(), adam(), 0), checkpoint=saving.path), whole)
+
+
+def test_time_of_both_halves_of_a_fit_counts(problem: MakeProblem, adam: MakeAdam, tmp_path: Path) -> None:
+    saving = LastCheckpoint(tmp_path, every=5, save_on_exception=True)
+    halved = FitModule(problem(), adam(), 0)
+    with pytest.raises(StoppedError):
+        fit(halved, saving, StopAt(8, spoil=False))
+    resumed = fit(FitModule(problem(), adam(), 0), checkpoint=saving.path)
+    for column in ("seconds", PROCESSOR_SECONDS):
+        times = [row[column] for row in resumed.history]
+        assert min(times) > 0, column
+        assert times[:8] == [row[column] for row in halved.history[:8]], column
 
 
 def test_resuming_a_finished_fit_changes_nothing(
