@@ -50,6 +50,14 @@ CASES = [
         ("garment", "subject=nobody", "file=a.npz"),
         says=("nobody", "default"),
     ),
+    Case(GROUP, "capture: no such action", ("capture", "dance"), says=("dance", "data")),
+    Case(
+        GROUP,
+        "capture: no such motion",
+        ("capture", "data", "settings.motions=[moonwalk]", "folder=people"),
+        says=("moonwalk", "walk"),
+    ),
+    Case(GROUP, "capture: page of no data set", ("capture", "page", "run=nowhere"), says=("nowhere",)),
     Case(
         GROUP,
         "a data folder that is none",
