@@ -81,6 +81,7 @@ SESSIONS = (
 )
 RUNGS = (
     "true, one clip",
+    "true",
     "tracked, one clip",
     "refined, one clip",
     "refined, one clip, force 0.3",
