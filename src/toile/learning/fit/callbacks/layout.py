@@ -10,7 +10,7 @@ from lightning import Callback, LightningModule, Trainer
 from lightning.pytorch.loggers import TensorBoardLogger
 
 from toile.learning.fit.callbacks.chamfer import CHAMFER_TAG, ChamferLogger
-from toile.learning.fit.module import PER_FRAME, FitModule, scalar_tag
+from toile.learning.fit.module import PER_FRAME, PROCESSOR_SECONDS, FitModule, scalar_tag
 from toile.reconstruction.parameters import ClothParameters
 
 Layout = dict[str, dict[str, list[Any]]]
@@ -66,7 +66,8 @@ def fit_layout(columns: Iterable[str], *, chamfer: bool) -> Layout:
         "turbulence rms [m/s²]": _chart("turbulence rms [m/s²]"),
         "boundary motion rms [mm]": _chart("boundary motion rms [mm]"),
     }
-    charts["work"] = {"time per cycle [s]": _chart("seconds"), "frames covered": _chart("frames")}
+    times = [c for c in ("seconds", PROCESSOR_SECONDS) if c in names]
+    charts["work"] = {"time per cycle [s]": _chart(*times), "frames covered": _chart("frames")}
     iterations = [c for c in names if c.endswith("iterations")]
     if iterations:
         charts["work"]["iterations per cycle"] = _chart(*iterations)
