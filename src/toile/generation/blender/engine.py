@@ -63,8 +63,6 @@ def simulate(spec: dict[str, Any], threads: int) -> NDArray[np.float32]:
     Returns:
         Positions (F, H', W', 3) [m].
     """
-    import bpy
-
     pose = np.asarray(spec["pose"], float)
     displacement = np.asarray(spec["displacement"], float)
     n_frames = len(displacement)
@@ -116,11 +114,25 @@ def simulate(spec: dict[str, Any], threads: int) -> NDArray[np.float32]:
     if shrinkage is not None:
         _animate(cloth, "shrink_min", np.asarray(shrinkage, float))
 
-    motion = np.empty((n_frames, *pose.shape), np.float32)
+    return simulated(scene, cloth_object, pose.shape, n_frames)
+
+
+def simulated(scene: Any, thing: Any, shape: tuple[int, ...], n_frames: int) -> NDArray[np.float32]:
+    """Positions (n_frames, *shape) [m] of a thing's vertices, in its own frame.
+
+    Args:
+        scene: of Blender, with the thing and its solver.
+        thing: an object with as many vertices as the shape has.
+        shape: of a frame, (..., 3).
+        n_frames: from frame 0 on.
+    """
+    import bpy
+
+    motion = np.empty((n_frames, *shape), np.float32)
     # Every frame in turn: the solver only steps from one frame to the next.
     for frame in range(n_frames):
         scene.frame_set(frame)
-        mesh = cloth_object.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
+        mesh = thing.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
         mesh.vertices.foreach_get("co", motion[frame].reshape(-1))
     return motion
 

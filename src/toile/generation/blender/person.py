@@ -20,7 +20,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from toile.generation.blender.engine import DONE, camera_of, cycles_of, empty_scene, pixels_of, time_scale
+from toile.generation.blender.engine import (
+    DONE,
+    camera_of,
+    cycles_of,
+    empty_scene,
+    pixels_of,
+    simulated,
+    time_scale,
+)
 
 Array = NDArray[np.float64]
 
@@ -51,8 +59,6 @@ def simulate(spec: dict[str, Any], folder: Path, threads: int) -> NDArray[np.flo
         folder: for the caches that carry the motion of the body.
         threads: of Blender.
     """
-    import bpy
-
     with np.load(spec["arrays"]) as arrays:
         given = {name: arrays[name] for name in arrays.files}
     n_frames = len(given["body"])
@@ -85,13 +91,7 @@ def simulate(spec: dict[str, Any], folder: Path, threads: int) -> NDArray[np.flo
     collision.friction = spec["friction"]
     modifier.point_cache.frame_start, modifier.point_cache.frame_end = 0, n_frames - 1
 
-    motion = np.empty((n_frames, *given["garment"].shape), np.float32)
-    # Every frame in turn: the solver only steps from one frame to the next.
-    for frame in range(n_frames):
-        scene.frame_set(frame)
-        found = garment.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
-        found.vertices.foreach_get("co", motion[frame].reshape(-1))
-    return motion
+    return simulated(scene, garment, given["garment"].shape, n_frames)
 
 
 def film(spec: dict[str, Any], folder: Path, threads: int) -> None:
