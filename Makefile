@@ -104,6 +104,10 @@ capture-layer: setup ## The simulation layer of moving garments (an hour): docs/
 session-ladder: setup ## Where a diagnosis of several clips loses what they know (hours): docs/results/session_ladder.md; resumes
 	$(BIN)/python benchmarks/session_ladder.py
 
+.PHONY: torque-balance
+torque-balance: setup ## What the balance of torques knows of causes from outside (an hour): docs/results/torque_balance.md; resumes
+	$(BIN)/python benchmarks/torque_balance.py
+
 .PHONY: robustness
 robustness: setup ## Give every command bad input: docs/robustness.md; resumes
 	$(BIN)/python benchmarks/robustness.py

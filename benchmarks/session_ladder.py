@@ -132,7 +132,8 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
     store = StageStore(out, kinds, StageTimes.going_on(out / "times.json"))
     nothing = lambda what, share: None  # noqa: E731
     pipeline = Pipeline(store, nothing)
-    clips = seen_clips(problems, [0] * len(problems), pipeline, nothing)
+    motions = [plan.motion for plan in DEFAULT_CLIPS]
+    clips = seen_clips(problems, [0] * len(problems), pipeline, nothing, motions)
     truth = [
         np.load(folder / f"truth_{k}.npy").astype(np.float64).reshape(c.n_frames, -1, 3)
         for k, c in enumerate(clips)

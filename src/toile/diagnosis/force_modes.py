@@ -29,6 +29,22 @@ def n_balanced(pinned: Array, size: float, tolerance: float = TOLERANCE) -> int:
     return int(6 - (np.linalg.svd(_reactions(pinned, size), compute_uv=False) > tolerance).sum())
 
 
+def balanced_directions(pinned: Array, size: float, tolerance: float = TOLERANCE) -> Array:
+    """Directions of resultants and torques about the holders' mean that the holders leave alone.
+
+    Args:
+        pinned: see n_balanced.
+        size: see n_balanced; torques are over it.
+        tolerance: see n_balanced.
+
+    Returns:
+        (n, 6), orthonormal, over [resultant | torque over the size].
+    """
+    left, values, _ = np.linalg.svd(_reactions(pinned, size))
+    held = int((values > tolerance).sum())
+    return np.asarray(left[:, held:].T)
+
+
 def external_first(fields: Array, masses: Array, positions: Array, pinned: Array, n: int) -> Array:
     """Orthonormal combinations of force modes, the first n of which alone disturb the balance.
 

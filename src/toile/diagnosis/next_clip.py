@@ -80,6 +80,8 @@ def expected_gains(
     draws: int,
     seed: int,
     workers: Workers = ALONE,
+    *,
+    boundary: float,
 ) -> dict[str, float]:
     """Expected fall of the answer's entropy by one more clip of each motion [nats], largest first.
 
@@ -96,6 +98,7 @@ def expected_gains(
         draws: of what a clip may say, for every hypothesis.
         seed: of the draws.
         workers: share the windows.
+        boundary: see planned_clip.
     """
     before = fitting.fisher(effects, systems) / scale
     gains = {}
@@ -104,7 +107,9 @@ def expected_gains(
     for motion in motions:
         try:
             n = len(fitting.start)
-            clip, wind = planned_clip(like, motion, fitting.start * np.exp(base.values[:n]), n_frames)
+            clip, wind = planned_clip(
+                like, motion, fitting.start * np.exp(base.values[:n]), n_frames, boundary
+            )
         except SimulationError as error:
             _log.warning("No clip of the kind %r could be planned: %s", motion, error)
             continue

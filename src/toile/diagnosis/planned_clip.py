@@ -51,6 +51,9 @@ PERFORMANCES: Mapping[str, Performance] = {
 }
 """By motion, see generation.clip_plan.MOTIONS."""
 
+HELD_STILL = frozenset(motion for motion, done in PERFORMANCES.items() if done.amplitude == 0)
+"""Motions in which nobody moves what holds the cloth."""
+
 STILL_AIR = "fan_off"
 """Motion in which there is no wind."""
 
@@ -67,7 +70,9 @@ _FINER = 5
 """Steps in place of one where those are too long."""
 
 
-def planned_clip(like: JointClip, motion: str, material: Array, n_frames: int) -> tuple[JointClip, Array]:
+def planned_clip(
+    like: JointClip, motion: str, material: Array, n_frames: int, moved: float
+) -> tuple[JointClip, Array]:
     """A clip of the same cloth before the same camera, simulated by the base model.
 
     Its images tell as much about every vertex as those of the other clip do on average.
@@ -77,6 +82,7 @@ def planned_clip(like: JointClip, motion: str, material: Array, n_frames: int) -
         motion: one of PERFORMANCES.
         material: of the base model (P,).
         n_frames: of the clip.
+        moved: deviation of the boundary positions in a clip in which they are moved [m].
 
     Returns:
         The clip, its windows simulated, and its wind along the two horizontal axes [m/s²].
@@ -136,7 +142,7 @@ def planned_clip(like: JointClip, motion: str, material: Array, n_frames: int) -
         old.grid,
         boundary,
         tracked,
-        old.settings,
+        old.settings if motion in HELD_STILL else replace(old.settings, boundary=moved),
         forces=old.forces,
     ).counting_frames_once()
     wind = done.wind * _ACROSS

@@ -138,7 +138,7 @@ def diagnose_session(
         f"clip {k}.{key}": value for k, p in enumerate(problems) for key, value in p.made_from.items()
     }
     made_from |= {"together": fingerprint(together), "devices": fingerprint(devices)}
-    made_from["still air"] = fingerprint([clip.still_air for clip in clips])
+    made_from["still"] = fingerprint([(clip.still_air, clip.held_still) for clip in clips])
     made_from |= {"stiffness": fingerprint(settings.stiffness), "shooting": fingerprint(settings.shooting)}
     refining = refining_stage(clips, together, settings.stiffness, made_from, workers)
     motion = pipeline.run(refining, *(clip.tracked for clip in clips))
@@ -190,6 +190,7 @@ def diagnose_session(
             together.draws,
             together.seed,
             workers,
+            boundary=together.boundary,
         )
     progress("prediction of the clip that is left out", 0.95)
     ahead = max(2, round(together.ahead * problems[-1].scene.fps / 25))

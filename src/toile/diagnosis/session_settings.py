@@ -52,6 +52,9 @@ class SessionSettings:
         modes: cosine modes along each side of a window's start.
         boundary_knot: time between knots of the boundary positions [s].
         boundary: deviation of the boundary positions at a knot [m]: images hardly see their depth.
+        held: the same in clips in which nobody moved them (``motion: hang`` or ``release``). As wide as
+            ``boundary`` by default: 0.3 mm finds the motion better, but then the law of the base model is
+            wrong by more, and a null gains more; see docs/diagnosis/validation.md.
         likelihood_weight: of the images' information: errors of neighbouring points and frames are alike.
         refining: see RefiningSettings.
         model_error: see ModelError; its share is where the search for it begins.
@@ -80,6 +83,7 @@ class SessionSettings:
     modes: Count = 4
     boundary_knot: Annotated[Positive, Unit("s")] = 0.08
     boundary: Annotated[Positive, Unit("m")] = 0.01
+    held: Annotated[Positive, Unit("m")] = 0.01
     likelihood_weight: Positive = 0.025
     refining: RefiningSettings = field(default_factory=RefiningSettings)
     model_error: ModelError = field(default_factory=ModelError)

@@ -15,7 +15,7 @@ from toile.diagnosis.mechanics import shooting_of, start_material, surroundings
 from toile.diagnosis.model_errors import ModelErrors, model_errors, with_share
 from toile.diagnosis.model_grid import ModelGrid, model_grid
 from toile.diagnosis.pipeline import Pipeline, PipelineStage, Progress
-from toile.diagnosis.planned_clip import STILL_AIR
+from toile.diagnosis.planned_clip import HELD_STILL, STILL_AIR
 from toile.diagnosis.problem import DiagnosisProblem
 from toile.diagnosis.results import Seen, TrackedMotion
 from toile.diagnosis.session_settings import SessionSettings
@@ -41,6 +41,7 @@ class SeenClip:
         tracked: its motion.
         seen: what its images say beside.
         still_air: whether nothing blew.
+        held_still: whether nobody moved the pinned vertices: they stay where the template has them.
     """
 
     problem: DiagnosisProblem
@@ -48,6 +49,7 @@ class SeenClip:
     tracked: TrackedMotion
     seen: Seen
     still_air: bool = False
+    held_still: bool = False
 
     @property
     def n_frames(self) -> int:
@@ -80,8 +82,8 @@ def seen_clips(
         stages = DiagnosisStages(problem, of_clip)
         tracked = pipeline.run(_named(stages.tracking(), k))
         seen = pipeline.run(_named(stages.image_cues(), k), tracked)
-        still = motions is not None and motions[k] == STILL_AIR
-        found.append(SeenClip(problem, device, tracked, seen, still))
+        done = "" if motions is None else motions[k]
+        found.append(SeenClip(problem, device, tracked, seen, done == STILL_AIR, done in HELD_STILL))
     return found
 
 
@@ -224,6 +226,11 @@ def _grid(clip: SeenClip, settings: SessionSettings) -> ModelGrid:
 def _joint(clip: SeenClip, grid: ModelGrid, positions: Array, s: SessionSettings) -> JointClip:
     problem = clip.problem
     fps, of_clip = problem.scene.fps, problem.settings.shooting
+    # Only where they are thought to stay: positions are those of the template then, not of the tracking.
+    if clip.held_still and s.held < s.boundary:
+        pinned = list(problem.scene.pinned_vertices)
+        positions = positions.copy()
+        positions[:, pinned] = problem.scene.template.reshape(-1, 3)[pinned].numpy()
     tracked = tracked_motion(problem.reconstruction, positions, grid, problem.image_term())
     tracked = softened(tracked, grid.cloth_size[0], fps, s.likelihood_weight, s.model_error)
     window, jumps = s.windows_at(fps)
@@ -234,7 +241,7 @@ def _joint(clip: SeenClip, grid: ModelGrid, positions: Array, s: SessionSettings
         jump_velocity=jumps * s.jump_velocity,
         boundary_knot=max(1, round(s.boundary_knot * fps)),
         force_knot=max(1, round(s.window * fps / 2)),
-        boundary=s.boundary,
+        boundary=s.held if clip.held_still else s.boundary,
         modes=s.modes,
         likelihood_weight=1.0,
     )

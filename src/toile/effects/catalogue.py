@@ -55,6 +55,10 @@ _STAGES: dict[str, Stage] = {name: effect.STAGE for name, effect in _EFFECTS.ite
 STAGES: Mapping[str, Stage] = MappingProxyType(_STAGES)
 """Stage of every effect by name."""
 
+OUTSIDE = ("air_drag", "gusts", "gravity_tilt", "nonuniform_density", "frame_rate")
+"""Effects that change the balance of inertia, gravity and forces from outside; all others that move the cloth
+act within it, or through what holds it."""
+
 MOVING = (Stage.MECHANICS, Stage.ACTUATION)
 """Stages whose effects move the cloth."""
 

@@ -22,6 +22,7 @@ from toile.physics.rollout import rollout
 from toile.physics.state import State
 
 GRID, FRAMES, FPS, SUBSTEPS = (5, 5), 12, 25.0, 4
+MOVED = 0.01  # m
 MATERIAL = np.array([400.0, 2e-3, 1e-4])
 GRAVITY = np.array([0.0, 9.81, 0.0])
 HORIZONTAL = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -106,7 +107,7 @@ class TestPlannedClips:
         self, hanging: JointClip, motion: str
     ) -> None:
         done = PERFORMANCES[motion]
-        clip, wind = planned_clip(hanging, motion, MATERIAL, 20)
+        clip, wind = planned_clip(hanging, motion, MATERIAL, 20, MOVED)
         x, boundary = clip.shooting.tracked.positions, clip.shooting.boundary
         assert x.shape == (20, 25, 3)
         pinned = clip.shooting.simulator.assembly.pinned
@@ -116,12 +117,14 @@ class TestPlannedClips:
         assert (moved > 0.3 * done.amplitude) == (done.amplitude > 0)
         assert np.linalg.norm(wind) == pytest.approx(done.wind)
         assert clip.still_air == (motion == "fan_off")
+        free = MOVED if done.amplitude > 0 else hanging.shooting.settings.boundary
+        assert clip.shooting.settings.boundary == free
         assert np.linalg.norm(x[1] - x[0], axis=-1).max() < 0.004
         assert sum(w.last - w.first for w in clip.windows) == 19
         assert all(w.converged for w in clip.windows)
 
     def test_what_is_turned_hangs_from_other_corners_in_the_same_hands(self, hanging: JointClip) -> None:
-        clip, _ = planned_clip(hanging, "turned", MATERIAL, 5)
+        clip, _ = planned_clip(hanging, "turned", MATERIAL, 5, MOVED)
         old, new = (set(c.shooting.simulator.assembly.pinned.tolist()) for c in (hanging, clip))
         assert new != old
         assert new < {0, 4, 20, 24}
@@ -138,7 +141,7 @@ def test_still_air_parts_tilted_gravity_from_a_wind(hanging: JointClip) -> None:
     fits = {e.NAME: fitting.fitted((e,), base) for e in effects}
     chances = {"none": 0.4, "gravity_tilt": 0.4, "air_drag": 0.2}
     gains = expected_gains(
-        fitting, base, fits, effects, systems, chances, ("hang", "fan_off"), 1.0, 1.0, 32, 0
+        fitting, base, fits, effects, systems, chances, ("hang", "fan_off"), 1.0, 1.0, 32, 0, boundary=MOVED
     )
     assert set(gains) == {"hang", "fan_off"}
     entropy = -sum(p * np.log(p) for p in chances.values())
@@ -146,7 +149,7 @@ def test_still_air_parts_tilted_gravity_from_a_wind(hanging: JointClip) -> None:
     tilt = fitting.layout(effects).places[0]
 
     def known_of_tilt(motion: str) -> float:
-        clip, wind = planned_clip(hanging, motion, MATERIAL, FRAMES)
+        clip, wind = planned_clip(hanging, motion, MATERIAL, FRAMES, MOVED)
         more = JointFitting([hanging, clip], MATERIAL, np.zeros(3))
         alone = JointFitting([clip], MATERIAL, np.zeros(3))
         expected = alone.expected(np.concatenate((np.zeros(3), wind)))
