@@ -78,8 +78,8 @@ def bodies(motion: str, frames: int = FRAMES) -> Tensor:
 def penetration(layer: SimulationLayer, body: np.ndarray, cloth: np.ndarray) -> tuple[float, float]:
     """Deepest vertex of the cloth in the body, and deepest vertex of the body through the cloth [m].
 
-    The second is the larger one of two: along the body's normal to the nearest place on the cloth, and along
-    a ray inwards to the first face of the cloth.
+    The second is the larger one of two: along the body's normal to the nearest place on the cloth, if that
+    place is in the body (a fold far beside is not), and along a ray inwards to the first face of the cloth.
     """
     contact = layer.contact
     contact.body.move(body)
@@ -88,7 +88,9 @@ def penetration(layer: SimulationLayer, body: np.ndarray, cloth: np.ndarray) -> 
     normals = contact.normals(body)[contact.active]
     points = body[contact.active]
     near = ((points > cloth.min(0) - 0.03) & (points < cloth.max(0) + 0.03)).all(1)
-    _, gaps = contact.facing(points[near], normals[near], 0.03)
+    facing, gaps = contact.facing(points[near], normals[near], 0.03)
+    inside = contact.body.nearest(facing.points, 0.03)
+    gaps = gaps[inside.which[inside.distances < 0.0]]
     every = MovingSurface(len(cloth), layer.cloth.topology.faces.numpy())
     every.move(cloth)
     hits = every.hits(points[near], -normals[near], 0.03)

@@ -3,9 +3,9 @@
 A vertex of the cloth keeps a thickness from the plane through the nearest point of the body, across the
 direction to it. A vertex of the body keeps the nearest face of the cloth before the plane across its own
 normal: with that a coarse cloth can't be cut by what lies between its vertices. Where that face is seen
-edge-on, as the wall of a fold is, the plane says nothing; there its edges keep out of the body like vertices,
-at their places beside the body's vertex. Planes are frozen within a solve; the first ones are those of where
-the step begins, carried along with the body, so that a fast limb can't jump through the cloth.
+edge-on, as the wall of a fold is, or ends, the plane says nothing; there its edges keep out of the body like
+vertices, at their places beside the body's vertex. Planes are frozen within a solve; the first ones are those
+of where the step begins, carried along with the body, so that a fast limb can't jump through the cloth.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from torch import Tensor
 from toile.geometry.mesh import vertex_normals
 from toile.geometry.moving_surface import MovingSurface, Nearest
 from toile.limits import NonNegative, Positive
+from toile.physics.contact.own import OwnContact, OwnContactSettings
 from toile.physics.contact.planes import ContactPlanes, ContactPotential, Penalty, Places
 from toile.physics.implicit.linear_solvers.pattern import BlockPattern
 from toile.physics.implicit.renewed import RenewedPotential
@@ -36,10 +37,8 @@ _EDGE_ON = 0.3
 _OTHER_WALL = 0.5
 # Share of its free vertices' weights below which a place on a face cannot be moved.
 _MOVABLE = 0.2
-# A nearest point is on the rim of the cloth if its weight opposite to the rim's edge is below this. The cloth
-# is passed by there unless the way runs along the normal, up to this cosine.
+# A nearest point is on the rim of the cloth if its weight opposite to the rim's edge is below this.
 _ON_RIM = 1e-4
-_BESIDE = 0.9
 # Share of an edge at its ends that counts as the vertex.
 _AT_END = 0.02
 # Edges by their corners.
@@ -83,6 +82,7 @@ class BodyContact:
         body_faces: (T, 3) of all the body.
         inactive: (V,) bool, vertices of the body whose faces collide with nothing.
         settings: see ContactSettings.
+        own: contact of the cloth with itself; none if None.
     """
 
     def __init__(
@@ -93,6 +93,7 @@ class BodyContact:
         body_faces: Indices,
         inactive: NDArray[np.bool_],
         settings: ContactSettings,
+        own: OwnContactSettings | None = None,
     ) -> None:
         self.settings = settings
         self.penalty = Penalty(settings.smoothing, settings.hardening)
@@ -114,12 +115,29 @@ class BodyContact:
         self.active = np.unique(kept[self._acting])
         self._rim = _rims(topology.n_vertices, topology.faces.numpy(), faces)
         self._kept: tuple[Array, Array] | None = None
+        self.own = None if own is None else OwnContact(topology, masses, self.free, self.penalty, own)
 
     def begin(
-        self, positions: Array, body: Array, next_body: Array, friction: float | Tensor, time_step: float
+        self,
+        positions: Array,
+        body: Array,
+        next_body: Array,
+        friction: float | Tensor,
+        time_step: float,
+        expected: Array | None = None,
     ) -> StepContact:
-        """Contacts of the step from positions x_n (N, 3); body (V, 3) at its begin and end [m]."""
-        return StepContact(self, positions, body, next_body, friction, time_step)
+        """Contacts of a step.
+
+        Args:
+            positions: x_n (N, 3) [m].
+            body: (V, 3) at the step's begin [m].
+            next_body: (V, 3) at its end [m].
+            friction: μ.
+            time_step: h [s].
+            expected: where the step may lead (N, 3) [m], for contact of the cloth with itself; x_n if None.
+        """
+        ends = positions if expected is None else expected
+        return StepContact(self, positions, body, next_body, friction, time_step, ends)
 
     def normals(self, body: Array) -> Array:
         """Unit normals (V, 3) of the body."""
@@ -138,13 +156,13 @@ class BodyContact:
     def faces_and_edges(
         self, points: Array, normals: Array, reach: float, x: Array
     ) -> tuple[Nearest, Array, Places]:
-        """See ``facing``; and the places beside the points on the edges of faces that are seen edge-on.
+        """See ``facing``; and places beside the points on edges of faces that are seen edge-on, or end there.
 
         The cloth is at x (N, 3) [m].
         """
         found = self.cloth.nearest(points, reach, signed=False)
-        some, gaps, aligned = self._facing(points, normals, found)
-        across = np.flatnonzero(~aligned)
+        some, gaps, face_on = self._facing(points, normals, found)
+        across = np.flatnonzero(~face_on)
         which, faces = found.which[across], self.cloth.faces[found.faces[across]]
         return some, gaps, self._beside(points[which], normals[which], faces, x)
 
@@ -152,13 +170,13 @@ class BodyContact:
         self, points: Array, normals: Array, found: Nearest
     ) -> tuple[Nearest, Array, NDArray[np.bool_]]:
         n = normals[found.which]
-        aligned: NDArray[np.bool_] = np.abs(np.einsum("mk,mk->m", found.normals, n)) > _EDGE_ON
+        aligned = np.abs(np.einsum("mk,mk->m", found.normals, n)) > _EDGE_ON
         gaps: Array = np.einsum("mk,mk->m", found.points - points[found.which], n)
         face = self.cloth.faces[found.faces]
         movable = (found.weights * self.free[face]).sum(1) > _MOVABLE
-        inside = ~self._on_rim(found) | (np.abs(gaps) > _BESIDE * found.distances)
-        kept = np.flatnonzero(aligned & movable & inside)
-        return found.some(kept), gaps[kept], aligned
+        face_on: NDArray[np.bool_] = np.logical_and(aligned, ~self._on_rim(found))
+        kept = np.flatnonzero(face_on & movable)
+        return found.some(kept), gaps[kept], face_on
 
     def _beside(self, points: Array, normals: Array, faces: Indices, x: Array) -> Places:
         """Where the edges of faces (M, 3) pass the lines through points (M, 3) along normals, if below."""
@@ -186,6 +204,14 @@ class BodyContact:
             points[asked], first.points[close], first.normals[close], self.settings.crease_reach, _OTHER_WALL
         )
         return first.joined(other, asked[other.which])
+
+    def squeezed(self, walls: Nearest) -> Indices:
+        """Vertices of the cloth that have less room between two walls than two layers need."""
+        rooms, counts = np.zeros(len(self.loose)), np.zeros(len(self.loose), np.int64)
+        np.add.at(rooms, walls.which, walls.distances)
+        np.add.at(counts, walls.which, 1)
+        needed = 2 * self.settings.thickness + (0.0 if self.own is None else 2 * self.own.settings.thickness)
+        return self.loose[(counts > 1) & (rooms < needed)]
 
     def surface(self, points: Array, reach: float) -> Nearest:
         """Nearest points (with a sign) of those whose nearest face collides; ``body.move`` goes before."""
@@ -240,6 +266,8 @@ class FrozenContact(RenewedPotential):
         """Positions (N, 3) [m] with single vertices moved out of what they penetrate: where to begin."""
         planes = self.potential.planes
         single = planes.weights[:, 0] == 1.0
+        # What is near itself has many planes at once.
+        single[len(single) - planes.own :] = False
         vertex = planes.vertices[single, 0]
         moved = x.copy()
         np.add.at(moved, vertex, planes.depths(x)[single].clip(min=0.0)[:, None] * planes.normals[single])
@@ -261,6 +289,7 @@ class StepContact(FrozenContact):
         next_body: Array,
         friction: float | Tensor,
         time_step: float,
+        expected: Array,
     ) -> None:
         self._contact = contact
         self._x = positions
@@ -268,11 +297,22 @@ class StepContact(FrozenContact):
         self._sticking = contact.settings.sticking_speed * time_step
         self._candidates = self._near(positions)
         # The cloth is where the step begins already.
-        super().__init__(self._frozen(self._planes_at(positions, body), positions, friction), friction)
+        super().__init__(
+            self._frozen(self._planes_at(positions, body, expected), positions, friction), friction
+        )
 
     def renew(self, x: Array) -> None:
         """See RenewedPotential."""
-        self.potential = self._frozen(self._planes_at(x, self._next), self._x, self._friction)
+        self.potential = self._frozen(self._planes_at(x, self._next, x), self._x, self._friction)
+
+    def reachable(self, x: Array) -> Array:
+        """See RenewedPotential: the cloth does not pass through itself on the way."""
+        own = self._contact.own
+        if own is None:
+            return x
+        moves = x - self._x
+        shares = own.proximity.free_way(self._x, moves)
+        return x if shares.min() == 1.0 else self._x + shares[:, None] * moves
 
     def _near(self, x: Array) -> Indices:
         """Vertices of the body that may meet the cloth within the step."""
@@ -286,8 +326,11 @@ class StepContact(FrozenContact):
         found: Indices = candidates[near.which]
         return found
 
-    def _planes_at(self, x: Array, body: Array) -> ContactPlanes:
-        """Planes of a cloth x (N, 3) and a body (V, 3) as it is somewhere in the step, carried to its end."""
+    def _planes_at(self, x: Array, body: Array, ends: Array) -> ContactPlanes:
+        """Planes of a cloth x (N, 3) and a body (V, 3) as they are at the begin or end, carried to the end.
+
+        The cloth is expected to end at (N, 3) [m].
+        """
         contact, settings = self._contact, self._contact.settings
         contact.cloth.move(x)
         points, here = body[self._candidates], contact.normals(body)[self._candidates]
@@ -303,19 +346,19 @@ class StepContact(FrozenContact):
             [settings.thickness, settings.body_thickness], [len(vertices.which), len(beside.which)]
         )
         corners = contact.body.faces[found.faces]
-        normals, ends = found.normals, found.points
+        normals, feet = found.normals, found.points
         if body is not self._next:
             turn = _frames(self._next[corners]) @ _frames(body[corners]).transpose(0, 2, 1)
             normals = np.einsum("cij,cj->ci", turn, normals)
-            ends = np.einsum("ca,cak->ck", found.weights, self._next[corners])
+            feet = np.einsum("ca,cak->ck", found.weights, self._next[corners])
         drags = np.einsum("ca,cak->ck", found.weights, self._next[corners] - self._body[corners])
         own = self._candidates[facing.which]
         body_normals = contact.normals(self._next)[own]
-        offsets = np.einsum("ck,ck->c", normals, ends) + thickness
+        offsets = np.einsum("ck,ck->c", normals, feet) + thickness
         body_offsets = np.einsum("ck,ck->c", body_normals, self._next[own]) + settings.body_thickness
         stiffness = settings.stiffness * (places.weights * contact.masses[places.vertices]).sum(1)
         lacking = np.concatenate((thickness - found.distances, settings.body_thickness - gaps))
-        return ContactPlanes(
+        planes = ContactPlanes(
             vertices=places.vertices,
             weights=places.weights,
             normals=np.concatenate((normals, body_normals)),
@@ -324,6 +367,12 @@ class StepContact(FrozenContact):
             normal_forces=stiffness * contact.penalty.slope(lacking),
             drags=np.concatenate((drags, self._next[own] - self._body[own])),
         )
+        itself = contact.own
+        if itself is None:
+            return planes
+        if body is self._body:
+            itself.begin(x, contact.squeezed(vertices))
+        return planes.with_own(itself.planes(x, ends, self._x))
 
     def _frozen(self, planes: ContactPlanes, x: Array, friction: float | Tensor) -> ContactPotential:
         number = float(torch.as_tensor(friction).detach())

@@ -78,6 +78,7 @@ class ContactPlanes(Places):
         stiffness: (C,) k [N/m].
         normal_forces: (C,) λ [N].
         drags: (C, 3) how far the surface carries the point within the step [m].
+        own: how many of them, the last ones, are between parts of the cloth itself.
     """
 
     normals: Array
@@ -85,6 +86,20 @@ class ContactPlanes(Places):
     stiffness: Array
     normal_forces: Array
     drags: Array
+    own: int = 0
+
+    def with_own(self, others: ContactPlanes) -> ContactPlanes:
+        """With planes between parts of the cloth itself after these."""
+        return ContactPlanes(
+            vertices=np.concatenate((self.vertices, others.vertices)),
+            weights=np.concatenate((self.weights, others.weights)),
+            normals=np.concatenate((self.normals, others.normals)),
+            offsets=np.concatenate((self.offsets, others.offsets)),
+            stiffness=np.concatenate((self.stiffness, others.stiffness)),
+            normal_forces=np.concatenate((self.normal_forces, others.normal_forces)),
+            drags=np.concatenate((self.drags, others.drags)),
+            own=self.own + others.own,
+        )
 
     def depths(self, x: Array) -> Array:
         """How much they lack, d (C,) [m]."""
