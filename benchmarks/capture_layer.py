@@ -3,9 +3,9 @@
 Motions: skirt and dress through walk, twirl and squat, 300 frames with 4 sub-steps at 30 frames a second.
 Sizes: time a frame by number of vertices. Friction: sliding on a plane and on a sphere against Coulomb's law.
 Own contact: crossings of the garment with itself, with that option and without. Eq. 1: error to the truth
-with a stiffness that is wrong by a factor of three, by number of cameras. Times are those of the processor, of
-one thread. What is found is kept in outputs/capture_layer, so that it goes on where it was; a motion goes on
-from its last 25 frames.
+with a stiffness that is wrong by a factor of three, by number of cameras. Times are those of the processor,
+of one thread. What is found is kept in outputs/capture_layer, so that it goes on where it was; a motion goes
+on from its last 25 frames.
 
     python benchmarks/capture_layer.py [--part motions] [--kept] [--output docs/results/capture_layer]
 """
@@ -377,8 +377,8 @@ PARTS: dict[str, tuple[str, Callable[[], Iterator[Case]]]] = {
     "motions": (
         "4 sub-steps at 30 frames a second. Penetration of garment vertices in the body; of body "
         "vertices through the garment, the larger of two measures (nearest place on the garment along the "
-        "body's normal, where it is in the body; ray inwards). Attached vertices against where the body takes them. Seconds of the "
-        "processor, one thread; energies in millijoule.",
+        "body's normal, where it is in the body; ray inwards). Attached vertices against where the body takes "
+        "them. Seconds of the processor, one thread; energies in millijoule.",
         motions,
     ),
     "sizes": ("The first second of the skirt's walk by number of vertices.", sizes),
