@@ -377,8 +377,8 @@ PARTS: dict[str, tuple[str, Callable[[], Iterator[Case]]]] = {
     "motions": (
         "4 sub-steps at 30 frames a second. Penetration of garment vertices in the body; of body "
         "vertices through the garment, the larger of two measures (nearest place on the garment along the "
-        "body's normal, where it is in the body; ray inwards). Attached vertices against where the body takes "
-        "them. Seconds of the processor, one thread; energies in millijoule.",
+        "body's normal, where it is in the body; ray inwards). Attached vertices against where the body "
+        "takes them. Seconds of the processor, one thread; energies in millijoule.",
         motions,
     ),
     "sizes": ("The first second of the skirt's walk by number of vertices.", sizes),
