@@ -2,9 +2,10 @@
 
 Motions: skirt and dress through walk, twirl and squat, 300 frames with 4 sub-steps at 30 frames a second.
 Sizes: time a frame by number of vertices. Friction: sliding on a plane and on a sphere against Coulomb's law.
-Eq. 1: error to the truth with a stiffness that is wrong by a factor of three, by number of cameras. Times are
-those of the processor, of one thread. What is found is kept in outputs/capture_layer, so that it goes on
-where it was; a motion goes on from its last 25 frames.
+Own contact: crossings of the garment with itself, with that option and without. Eq. 1: error to the truth
+with a stiffness that is wrong by a factor of three, by number of cameras. Times are those of the processor,
+of one thread. What is found is kept in outputs/capture_layer, so that it goes on where it was; a motion goes
+on from its last 25 frames.
 
     python benchmarks/capture_layer.py [--part motions] [--kept] [--output docs/results/capture_layer]
 """
@@ -38,6 +39,8 @@ from toile.capture.layer.silhouette import SilhouetteRays
 from toile.capture.motion.procedural import make_motion
 from toile.geometry.mesh import grid_faces
 from toile.geometry.moving_surface import MovingSurface
+from toile.geometry.self_proximity import SelfProximity
+from toile.physics.contact.own import OwnContactSettings
 from toile.rendering import WarpRenderer
 
 FOLDER = Path("outputs") / "capture_layer"
@@ -49,6 +52,7 @@ SIZES = (500, 1000, 1500, 3000)
 CHUNK = 25
 SUBJECT = "default"
 FRICTIONS = (0.0, 0.3, 1.0)
+OWN_FRAMES = 51
 SEEN_MOTION, SEEN_FRAMES, SEEN_VERTICES = "twirl", 31, 450
 
 
@@ -78,8 +82,8 @@ def bodies(motion: str, frames: int = FRAMES) -> Tensor:
 def penetration(layer: SimulationLayer, body: np.ndarray, cloth: np.ndarray) -> tuple[float, float]:
     """Deepest vertex of the cloth in the body, and deepest vertex of the body through the cloth [m].
 
-    The second is the larger one of two: along the body's normal to the nearest place on the cloth, and along
-    a ray inwards to the first face of the cloth.
+    The second is the larger one of two: along the body's normal to the nearest place on the cloth, if that
+    place is in the body (a fold far beside is not), and along a ray inwards to the first face of the cloth.
     """
     contact = layer.contact
     contact.body.move(body)
@@ -88,7 +92,9 @@ def penetration(layer: SimulationLayer, body: np.ndarray, cloth: np.ndarray) -> 
     normals = contact.normals(body)[contact.active]
     points = body[contact.active]
     near = ((points > cloth.min(0) - 0.03) & (points < cloth.max(0) + 0.03)).all(1)
-    _, gaps = contact.facing(points[near], normals[near], 0.03)
+    facing, gaps = contact.facing(points[near], normals[near], 0.03)
+    inside = contact.body.nearest(facing.points, 0.03)
+    gaps = gaps[inside.which[inside.distances < 0.0]]
     every = MovingSurface(len(cloth), layer.cloth.topology.faces.numpy())
     every.move(cloth)
     hits = every.hits(points[near], -normals[near], 0.03)
@@ -191,6 +197,46 @@ def sizes() -> Iterator[Case]:
     """A skirt of several resolutions, the first second of the walk."""
     for n in SIZES:
         yield f"size_{n}", partial(run, "skirt", "walk", n, 31)
+
+
+def own_contact() -> Iterator[Case]:
+    """Motions with the garment's contact with itself and without."""
+    for garment, motion in (("skirt", "twirl"), ("skirt", "walk"), ("skirt", "squat"), ("dress", "squat")):
+        for own in (None, OwnContactSettings()):
+            name = f"own_{garment}_{motion}_{'off' if own is None else 'on'}"
+            yield name, partial(through_itself, garment, motion, own)
+
+
+def through_itself(garment_name: str, motion_name: str, own: OwnContactSettings | None) -> dict:
+    """How often edges of a garment go through faces of it, frame by frame."""
+    subject = load_subject(SUBJECT)
+    garment = GARMENTS[garment_name](subject, VERTICES)
+    layer = SimulationLayer.of(garment, subject, LayerSettings(own_contact=own))
+    body = bodies(motion_name, OWN_FRAMES)
+    layer.simulate(body[:2], FPS, 1)
+    cpu = time.process_time()
+    motion = layer.simulate(body, FPS, SUBSTEPS)
+    cpu = time.process_time() - cpu
+    topology = layer.cloth.topology
+    proximity = SelfProximity(
+        layer.cloth.n_vertices, topology.faces.numpy(), topology.edges.numpy(), garment.attached.numpy(), 0.01
+    )
+    crossings = [proximity.crossings(x) for x in motion.garment_positions]
+    pairs = zip(body.numpy(), motion.garment_positions, strict=True)
+    depths = np.array([penetration(layer, person, x) for person, x in pairs])
+    return {
+        "garment": garment_name,
+        "motion": motion_name,
+        "own_contact": "off" if own is None else "on",
+        "frames": OWN_FRAMES,
+        "crossings_max": max(crossings),
+        "crossings_end": crossings[-1],
+        "converged_share": float(motion.converged.mean()),
+        "penetration_max_mm": 1e3 * float(depths[:, 0].max()),
+        "penetration_body_through_cloth_mm": 1e3 * abs(float(depths[:, 1].max())),
+        "newton_steps": float(motion.newton_steps.mean()),
+        "seconds_per_frame": cpu / (OWN_FRAMES - 1),
+    }
 
 
 def friction() -> Iterator[Case]:
@@ -331,11 +377,16 @@ PARTS: dict[str, tuple[str, Callable[[], Iterator[Case]]]] = {
     "motions": (
         "4 sub-steps at 30 frames a second. Penetration of garment vertices in the body; of body "
         "vertices through the garment, the larger of two measures (nearest place on the garment along the "
-        "body's normal, ray inwards). Attached vertices against where the body takes them. Seconds of the "
-        "processor, one thread; energies in millijoule.",
+        "body's normal, where it is in the body; ray inwards). Attached vertices against where the body "
+        "takes them. Seconds of the processor, one thread; energies in millijoule.",
         motions,
     ),
     "sizes": ("The first second of the skirt's walk by number of vertices.", sizes),
+    "own contact": (
+        f"The first {OWN_FRAMES} frames, with contact of the garment with itself (off by default) and "
+        "without. Crossings: edges times faces of the garment that go through each other in a frame.",
+        own_contact,
+    ),
     "friction": (
         "Way of a patch of cloth on a plane, as its acceleration, and on a sphere. What sticks creeps below "
         "5 mm/s.",

@@ -24,6 +24,7 @@ from toile.errors import InputError
 from toile.limits import Count, Fraction, Positive
 from toile.physics.cloth import mesh_cloth
 from toile.physics.contact.body import BodyContact, ContactSettings, FrozenContact
+from toile.physics.contact.own import OwnContactSettings
 from toile.physics.energies.membrane import Membrane, NeoHookean
 from toile.physics.implicit.integrators import BackwardEuler
 from toile.physics.implicit.newton import NewtonSettings
@@ -53,6 +54,7 @@ class LayerSettings:
         passes: solves per step, the contacts renewed in between; up to twice as many where the last one does
             not converge.
         contact: see ContactSettings.
+        own_contact: of the garment with itself, see OwnContactSettings; None: it passes through itself.
         silhouette_weight: of one pixel in Eq. 1 [N/m].
         silhouette_along: share of it along the silhouette; 1 in Eq. 1, see SilhouettePotential.
         silhouette_reach: pixels farther than this from the cloth count for nothing [m].
@@ -63,6 +65,7 @@ class LayerSettings:
     max_iterations: Count = 60
     passes: Count = 3
     contact: ContactSettings = field(default_factory=ContactSettings)
+    own_contact: OwnContactSettings | None = None
     silhouette_weight: Positive = 0.1
     silhouette_along: Fraction = 1.0
     silhouette_reach: Positive = 0.1
@@ -167,6 +170,7 @@ class SimulationLayer:
             body_faces.numpy(),
             np.zeros(self._n_body, np.bool_) if inactive is None else inactive.numpy(),
             self.settings.contact,
+            self.settings.own_contact,
         )
         self._outline = Outline(self.cloth.topology, self.contact.body)
         self._simulators: dict[float, RenewingSimulator] = {}
@@ -224,15 +228,16 @@ class SimulationLayer:
         if friction is None:
             friction = self.garment.material.friction
         begin = positions.detach().numpy()
+        ahead = (positions + time_step * velocities).detach().numpy()
         if contact is None:
-            contact = self.contact.begin(begin, body.numpy(), next_body.numpy(), friction, time_step)
+            contact = self.contact.begin(begin, body.numpy(), next_body.numpy(), friction, time_step, ahead)
         else:
             contact = contact.again(begin, friction)
         if attached is None:
             attached = attached_targets(self.garment, next_body, self.body_faces)
         simulator = self._simulator(time_step)
         state = State.start(positions[None], velocities[None], time_step, simulator.n_past)
-        guess = contact.outside((positions + time_step * velocities).detach().numpy())
+        guess = contact.outside(ahead)
         potential: RenewedPotential = contact
         if silhouettes:
             drawn = SilhouettePotential(
@@ -300,7 +305,8 @@ class SimulationLayer:
             silhouettes: of every frame's views, for Eq. 1 in the step that ends there; none if None.
 
         Raises:
-            InputError: the body has another number of vertices than the layer's, or the garment starts in it.
+            InputError: the body has another number of vertices than the layer's, or the garment starts in it,
+                or through itself where ``own_contact`` is asked for.
             SimulationError: positions are no longer finite.
         """
         body_positions = torch.as_tensor(body_positions, dtype=torch.float64)
@@ -361,6 +367,14 @@ class SimulationLayer:
                 where="frame 0",
                 expected=f"every vertex at most {1e3 * DEEPEST_START:g} mm deep",
                 got=f"{int((distances < -DEEPEST_START).sum())} deeper, the deepest {1e3 * deepest:.1f} mm",
+            )
+        own = self.contact.own
+        if own is not None and (crossings := own.proximity.crossings(x.numpy())):
+            raise InputError(
+                "Garment starts through itself",
+                where="frame 0",
+                expected="no edge through a face",
+                got=f"{crossings} of them",
             )
 
     def _energies(self, x: Tensor, v: Tensor) -> tuple[float, float, float]:

@@ -2,9 +2,10 @@
 
 A vertex of the cloth keeps a thickness from the plane through the nearest point of the body, across the
 direction to it. A vertex of the body keeps the nearest face of the cloth before the plane across its own
-normal: with that a coarse cloth can't be cut by what lies between its vertices. Planes are frozen within a
-solve; the first ones are those of where the step begins, carried along with the body, so that a fast limb
-can't jump through the cloth.
+normal: with that a coarse cloth can't be cut by what lies between its vertices. Where that face is seen
+edge-on, as the wall of a fold is, or ends, the plane says nothing; there its edges keep out of the body like
+vertices, at their places beside the body's vertex. Planes are frozen within a solve; the first ones are those
+of where the step begins, carried along with the body, so that a fast limb can't jump through the cloth.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ from torch import Tensor
 from toile.geometry.mesh import vertex_normals
 from toile.geometry.moving_surface import MovingSurface, Nearest
 from toile.limits import NonNegative, Positive
-from toile.physics.contact.planes import ContactPlanes, ContactPotential, Penalty
+from toile.physics.contact.own import OwnContact, OwnContactSettings
+from toile.physics.contact.planes import ContactPlanes, ContactPotential, Penalty, Places
 from toile.physics.implicit.linear_solvers.pattern import BlockPattern
 from toile.physics.implicit.renewed import RenewedPotential
 from toile.physics.topology import Topology
@@ -37,6 +39,10 @@ _OTHER_WALL = 0.5
 _MOVABLE = 0.2
 # A nearest point is on the rim of the cloth if its weight opposite to the rim's edge is below this.
 _ON_RIM = 1e-4
+# Share of an edge at its ends that counts as the vertex.
+_AT_END = 0.02
+# Edges by their corners.
+_EDGES = ((1, 2), (2, 0), (0, 1))
 
 
 @dataclass(frozen=True)
@@ -76,6 +82,7 @@ class BodyContact:
         body_faces: (T, 3) of all the body.
         inactive: (V,) bool, vertices of the body whose faces collide with nothing.
         settings: see ContactSettings.
+        own: contact of the cloth with itself; none if None.
     """
 
     def __init__(
@@ -86,6 +93,7 @@ class BodyContact:
         body_faces: Indices,
         inactive: NDArray[np.bool_],
         settings: ContactSettings,
+        own: OwnContactSettings | None = None,
     ) -> None:
         self.settings = settings
         self.penalty = Penalty(settings.smoothing, settings.hardening)
@@ -107,12 +115,29 @@ class BodyContact:
         self.active = np.unique(kept[self._acting])
         self._rim = _rims(topology.n_vertices, topology.faces.numpy(), faces)
         self._kept: tuple[Array, Array] | None = None
+        self.own = None if own is None else OwnContact(topology, masses, self.free, self.penalty, own)
 
     def begin(
-        self, positions: Array, body: Array, next_body: Array, friction: float | Tensor, time_step: float
+        self,
+        positions: Array,
+        body: Array,
+        next_body: Array,
+        friction: float | Tensor,
+        time_step: float,
+        expected: Array | None = None,
     ) -> StepContact:
-        """Contacts of the step from positions x_n (N, 3); body (V, 3) at its begin and end [m]."""
-        return StepContact(self, positions, body, next_body, friction, time_step)
+        """Contacts of a step.
+
+        Args:
+            positions: x_n (N, 3) [m].
+            body: (V, 3) at the step's begin [m].
+            next_body: (V, 3) at its end [m].
+            friction: μ.
+            time_step: h [s].
+            expected: where the step may lead (N, 3) [m], for contact of the cloth with itself; x_n if None.
+        """
+        ends = positions if expected is None else expected
+        return StepContact(self, positions, body, next_body, friction, time_step, ends)
 
     def normals(self, body: Array) -> Array:
         """Unit normals (V, 3) of the body."""
@@ -126,16 +151,49 @@ class BodyContact:
         The gap lies along the point's normal and is negative where the cloth is behind it. ``cloth.move``
         goes before.
         """
+        return self._facing(points, normals, self.cloth.nearest(points, reach, signed=False))[:2]
+
+    def faces_and_edges(
+        self, points: Array, normals: Array, reach: float, x: Array
+    ) -> tuple[Nearest, Array, Places]:
+        """See ``facing``; and places beside the points on edges of faces that are seen edge-on, or end there.
+
+        The cloth is at x (N, 3) [m].
+        """
         found = self.cloth.nearest(points, reach, signed=False)
+        some, gaps, face_on = self._facing(points, normals, found)
+        across = np.flatnonzero(~face_on)
+        which, faces = found.which[across], self.cloth.faces[found.faces[across]]
+        return some, gaps, self._beside(points[which], normals[which], faces, x)
+
+    def _facing(
+        self, points: Array, normals: Array, found: Nearest
+    ) -> tuple[Nearest, Array, NDArray[np.bool_]]:
         n = normals[found.which]
         aligned = np.abs(np.einsum("mk,mk->m", found.normals, n)) > _EDGE_ON
+        gaps: Array = np.einsum("mk,mk->m", found.points - points[found.which], n)
         face = self.cloth.faces[found.faces]
-        free = self.free[face]
-        movable = (found.weights * free).sum(1) > _MOVABLE
-        inside = ~self._on_rim(found)
-        some = found.some(np.flatnonzero(aligned & movable & inside))
-        gaps = np.einsum("mk,mk->m", some.points - points[some.which], normals[some.which])
-        return some, gaps
+        movable = (found.weights * self.free[face]).sum(1) > _MOVABLE
+        face_on: NDArray[np.bool_] = np.logical_and(aligned, ~self._on_rim(found))
+        kept = np.flatnonzero(face_on & movable)
+        return found.some(kept), gaps[kept], face_on
+
+    def _beside(self, points: Array, normals: Array, faces: Indices, x: Array) -> Places:
+        """Where the edges of faces (M, 3) pass the lines through points (M, 3) along normals, if below."""
+        edges = faces[:, _EDGES].reshape(-1, 2)
+        p, n = np.repeat(points, 3, 0), np.repeat(normals, 3, 0)
+        first, second = (x[edges[:, k]] for k in range(2))
+        along, to = second - first, p - first
+        # Seen along the normal.
+        flat = along - np.einsum("ek,ek->e", along, n)[:, None] * n
+        length = np.square(flat).sum(1).clip(min=1e-30)
+        share = (np.einsum("ek,ek->e", flat, to) / length).clip(0.0, 1.0)
+        low = np.einsum("ek,ek->e", share[:, None] * along - to, n) < self.settings.body_thickness
+        weights = np.column_stack((1.0 - share, share, np.zeros_like(share)))
+        movable = (weights[:, :2] * self.free[edges]).sum(1) > _MOVABLE
+        # At their ends the vertices take part themselves.
+        kept = low & movable & (share > _AT_END) & (share < 1.0 - _AT_END)
+        return Places(edges[:, [0, 1, 1]][kept], weights[kept])
 
     def walls(self, points: Array) -> Nearest:
         """Nearest points of the body, in a crease of its other wall as well; ``body.move`` goes before."""
@@ -146,6 +204,14 @@ class BodyContact:
             points[asked], first.points[close], first.normals[close], self.settings.crease_reach, _OTHER_WALL
         )
         return first.joined(other, asked[other.which])
+
+    def squeezed(self, walls: Nearest) -> Indices:
+        """Vertices of the cloth that have less room between two walls than two layers need."""
+        rooms, counts = np.zeros(len(self.loose)), np.zeros(len(self.loose), np.int64)
+        np.add.at(rooms, walls.which, walls.distances)
+        np.add.at(counts, walls.which, 1)
+        needed = 2 * self.settings.thickness + (0.0 if self.own is None else 2 * self.own.settings.thickness)
+        return self.loose[(counts > 1) & (rooms < needed)]
 
     def surface(self, points: Array, reach: float) -> Nearest:
         """Nearest points (with a sign) of those whose nearest face collides; ``body.move`` goes before."""
@@ -200,6 +266,8 @@ class FrozenContact(RenewedPotential):
         """Positions (N, 3) [m] with single vertices moved out of what they penetrate: where to begin."""
         planes = self.potential.planes
         single = planes.weights[:, 0] == 1.0
+        # What is near itself has many planes at once.
+        single[len(single) - planes.own :] = False
         vertex = planes.vertices[single, 0]
         moved = x.copy()
         np.add.at(moved, vertex, planes.depths(x)[single].clip(min=0.0)[:, None] * planes.normals[single])
@@ -221,33 +289,30 @@ class StepContact(FrozenContact):
         next_body: Array,
         friction: float | Tensor,
         time_step: float,
+        expected: Array,
     ) -> None:
         self._contact = contact
         self._x = positions
         self._body, self._next = body, next_body
         self._sticking = contact.settings.sticking_speed * time_step
         self._candidates = self._near(positions)
-        super().__init__(self._frozen(self._carried(), positions, friction), friction)
+        # The cloth is where the step begins already.
+        super().__init__(
+            self._frozen(self._planes_at(positions, body, expected), positions, friction), friction
+        )
 
     def renew(self, x: Array) -> None:
         """See RenewedPotential."""
-        contact, settings = self._contact, self._contact.settings
-        contact.body.move(self._next)
-        found = contact.walls(x[contact.loose])
-        offsets = np.einsum("ck,ck->c", found.normals, found.points) + settings.thickness
-        contact.cloth.move(x)
-        points = self._next[self._candidates]
-        normals = contact.normals(self._next)[self._candidates]
-        facing, gaps = contact.facing(points, normals, settings.body_reach)
-        planes = self._planes(
-            found,
-            found.normals,
-            offsets,
-            settings.thickness - found.distances,
-            facing,
-            settings.body_thickness - gaps,
-        )
-        self.potential = self._frozen(planes, self._x, self._friction)
+        self.potential = self._frozen(self._planes_at(x, self._next, x), self._x, self._friction)
+
+    def reachable(self, x: Array) -> Array:
+        """See RenewedPotential: the cloth does not pass through itself on the way."""
+        own = self._contact.own
+        if own is None:
+            return x
+        moves = x - self._x
+        shares = own.proximity.free_way(self._x, moves)
+        return x if shares.min() == 1.0 else self._x + shares[:, None] * moves
 
     def _near(self, x: Array) -> Indices:
         """Vertices of the body that may meet the cloth within the step."""
@@ -261,60 +326,53 @@ class StepContact(FrozenContact):
         found: Indices = candidates[near.which]
         return found
 
-    def _carried(self) -> ContactPlanes:
-        """Planes of where the step begins, carried along with the body to its end."""
-        contact, settings = self._contact, self._contact.settings
-        contact.body.move(self._body)
-        found = contact.walls(self._x[contact.loose])
-        corners = contact.body.faces[found.faces]
-        turn = _frames(self._next[corners]) @ _frames(self._body[corners]).transpose(0, 2, 1)
-        normals = np.einsum("cij,cj->ci", turn, found.normals)
-        carried = np.einsum("ca,cak->ck", found.weights, self._next[corners])
-        offsets = np.einsum("ck,ck->c", normals, carried) + settings.thickness
-        # The cloth is where the step begins already.
-        points = self._body[self._candidates]
-        here = contact.normals(self._body)[self._candidates]
-        facing, gaps = contact.facing(points, here, settings.body_reach)
-        return self._planes(
-            found,
-            normals,
-            offsets,
-            settings.thickness - found.distances,
-            facing,
-            settings.body_thickness - gaps,
-        )
+    def _planes_at(self, x: Array, body: Array, ends: Array) -> ContactPlanes:
+        """Planes of a cloth x (N, 3) and a body (V, 3) as they are at the begin or end, carried to the end.
 
-    def _planes(
-        self,
-        found: Nearest,
-        normals: Array,
-        offsets: Array,
-        depths: Array,
-        facing: Nearest,
-        body_depths: Array,
-    ) -> ContactPlanes:
+        The cloth is expected to end at (N, 3) [m].
+        """
         contact, settings = self._contact, self._contact.settings
+        contact.cloth.move(x)
+        points, here = body[self._candidates], contact.normals(body)[self._candidates]
+        facing, gaps, edges = contact.faces_and_edges(points, here, settings.body_reach, x)
+        contact.body.move(body)
+        vertices = contact.walls(x[contact.loose])
+        beside = contact.surface(edges.points(x), settings.body_reach)
+        found = vertices.joined(beside, beside.which)
+        places = Places.at(contact.loose[vertices.which]).joined(
+            edges.some(beside.which), Places(contact.cloth.faces[facing.faces], facing.weights)
+        )
+        thickness = np.repeat(
+            [settings.thickness, settings.body_thickness], [len(vertices.which), len(beside.which)]
+        )
         corners = contact.body.faces[found.faces]
-        vertex = contact.loose[found.which]
-        single = np.zeros((len(vertex), 3))
-        single[:, 0] = 1.0
+        normals, feet = found.normals, found.points
+        if body is not self._next:
+            turn = _frames(self._next[corners]) @ _frames(body[corners]).transpose(0, 2, 1)
+            normals = np.einsum("cij,cj->ci", turn, normals)
+            feet = np.einsum("ca,cak->ck", found.weights, self._next[corners])
         drags = np.einsum("ca,cak->ck", found.weights, self._next[corners] - self._body[corners])
         own = self._candidates[facing.which]
         body_normals = contact.normals(self._next)[own]
+        offsets = np.einsum("ck,ck->c", normals, feet) + thickness
         body_offsets = np.einsum("ck,ck->c", body_normals, self._next[own]) + settings.body_thickness
-        places = contact.cloth.faces[facing.faces]
-        masses = np.concatenate((contact.masses[vertex], (facing.weights * contact.masses[places]).sum(1)))
-        stiffness = settings.stiffness * masses
-        lacking = np.concatenate((depths, body_depths))
-        return ContactPlanes(
-            vertices=np.concatenate((np.repeat(vertex[:, None], 3, 1), places)),
-            weights=np.concatenate((single, facing.weights)),
+        stiffness = settings.stiffness * (places.weights * contact.masses[places.vertices]).sum(1)
+        lacking = np.concatenate((thickness - found.distances, settings.body_thickness - gaps))
+        planes = ContactPlanes(
+            vertices=places.vertices,
+            weights=places.weights,
             normals=np.concatenate((normals, body_normals)),
             offsets=np.concatenate((offsets, body_offsets)),
             stiffness=stiffness,
             normal_forces=stiffness * contact.penalty.slope(lacking),
             drags=np.concatenate((drags, self._next[own] - self._body[own])),
         )
+        itself = contact.own
+        if itself is None:
+            return planes
+        if body is self._body:
+            itself.begin(x, contact.squeezed(vertices))
+        return planes.with_own(itself.planes(x, ends, self._x))
 
     def _frozen(self, planes: ContactPlanes, x: Array, friction: float | Tensor) -> ContactPotential:
         number = float(torch.as_tensor(friction).detach())
@@ -338,10 +396,9 @@ def _rims(n: int, every: Indices, faces: Indices) -> tuple[NDArray[np.bool_], ND
         every: faces that make the surface.
         faces: those asked for.
     """
-    opposite = [(1, 2), (2, 0), (0, 1)]
 
     def keys(of: Indices) -> Indices:
-        ends = np.stack([of[:, pair] for pair in opposite], 1)
+        ends = np.stack([of[:, pair] for pair in _EDGES], 1)
         return ends.min(2) * n + ends.max(2)
 
     edges, counts = np.unique(keys(every), return_counts=True)

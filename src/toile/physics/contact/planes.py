@@ -34,31 +34,72 @@ _STILL = 1e-9
 
 
 @dataclass(frozen=True)
-class ContactPlanes:
+class Places:
+    """Places on the cloth, C of them.
+
+    Attributes:
+        vertices: (C, 3) between which they lie; a single one is there three times.
+        weights: (C, 3); rows sum to 1.
+    """
+
+    vertices: Indices
+    weights: Array
+
+    @staticmethod
+    def at(vertices: Indices) -> Places:
+        """Single vertices (C,)."""
+        return Places(np.repeat(vertices[:, None], 3, 1), np.tile([1.0, 0.0, 0.0], (len(vertices), 1)))
+
+    def some(self, kept: Indices) -> Places:
+        """Only those at the places ``kept``."""
+        return Places(self.vertices[kept], self.weights[kept])
+
+    def joined(self, *others: Places) -> Places:
+        """With others after them."""
+        every = (self, *others)
+        return Places(
+            np.concatenate([part.vertices for part in every]),
+            np.concatenate([part.weights for part in every]),
+        )
+
+    def points(self, x: Array) -> Array:
+        """Where they are, y (C, 3) [m], for vertices x (N, 3) [m]."""
+        points: Array = np.einsum("ca,cak->ck", self.weights, x[self.vertices])
+        return points
+
+
+@dataclass(frozen=True)
+class ContactPlanes(Places):
     """C contacts of a cloth of N vertices; see the module.
 
     Attributes:
-        vertices: (C, 3) vertices of the point; a single one is there three times.
-        weights: (C, 3) w; 1, 0, 0 for a single vertex.
         normals: (C, 3) n.
         offsets: (C,) [m].
         stiffness: (C,) k [N/m].
         normal_forces: (C,) λ [N].
         drags: (C, 3) how far the surface carries the point within the step [m].
+        own: how many of them, the last ones, are between parts of the cloth itself.
     """
 
-    vertices: Indices
-    weights: Array
     normals: Array
     offsets: Array
     stiffness: Array
     normal_forces: Array
     drags: Array
+    own: int = 0
 
-    def points(self, x: Array) -> Array:
-        """Points y (C, 3) [m] for positions x (N, 3) [m]."""
-        found: Array = np.einsum("ca,cak->ck", self.weights, x[self.vertices])
-        return found
+    def with_own(self, others: ContactPlanes) -> ContactPlanes:
+        """With planes between parts of the cloth itself after these."""
+        return ContactPlanes(
+            vertices=np.concatenate((self.vertices, others.vertices)),
+            weights=np.concatenate((self.weights, others.weights)),
+            normals=np.concatenate((self.normals, others.normals)),
+            offsets=np.concatenate((self.offsets, others.offsets)),
+            stiffness=np.concatenate((self.stiffness, others.stiffness)),
+            normal_forces=np.concatenate((self.normal_forces, others.normal_forces)),
+            drags=np.concatenate((self.drags, others.drags)),
+            own=self.own + others.own,
+        )
 
     def depths(self, x: Array) -> Array:
         """How much they lack, d (C,) [m]."""

@@ -38,6 +38,10 @@ class RenewedPotential(StepPotential):
     def renew(self, x: Array) -> None:
         """Renew what is frozen, at positions x (N, 3) [m]."""
 
+    def reachable(self, x: Array) -> Array:
+        """What can be reached on the way from the step's begin to x (N, 3) [m]; x if nothing is between."""
+        return x
+
     @abstractmethod
     def forces(self, x: Tensor, positions: Tensor) -> Tensor:
         """Force (N, 3) [N] at fixed x_{n+1}, differentiable by x_n and the potential's own numbers.
@@ -79,6 +83,12 @@ class RenewedSum(PotentialSum, RenewedPotential):
         """See RenewedPotential."""
         for part in self._renewed:
             part.renew(x)
+
+    def reachable(self, x: Array) -> Array:
+        """See RenewedPotential."""
+        for part in self._renewed:
+            x = part.reachable(x)
+        return x
 
     def forces(self, x: Tensor, positions: Tensor) -> Tensor:
         """See RenewedPotential."""
@@ -163,6 +173,9 @@ class RenewingSimulator(ImplicitSimulator):
         for scene, term, own in zip(arguments, terms, self._potentials, strict=True):
             guesses, x_hat, ends, force, coefficients = scene
             term.prepare(self.assembly)
+            guesses = np.array(guesses)
+            guesses[:, self.assembly.pinned] = ends
+            guesses = np.stack([own.reachable(guess) for guess in guesses])
             found: StepSolution | None = None
             iterations = 0
             for number in range(2 * self.passes):
@@ -186,6 +199,10 @@ class RenewingSimulator(ImplicitSimulator):
                     keep_factor=True,
                 )
                 iterations += found.iterations
+                if found.status is not StepStatus.NOT_FINITE:
+                    reached = own.reachable(found.positions)
+                    if reached is not found.positions:
+                        found = replace(found, positions=reached, status=StepStatus.LINE_SEARCH_FAILED)
                 # Where the last pass got stuck, others with renewed potentials may not.
                 if last and found.status is StepStatus.CONVERGED:
                     break
