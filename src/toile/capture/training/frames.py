@@ -157,9 +157,15 @@ class Augmentation:
     scale: Fraction = 0.06
     gain: NonNegative = 0.2
 
-    def __call__(self, images: Tensor, rng: np.random.Generator) -> Tensor:
-        """Change crops (B, 4, S, S)."""
-        n = len(images)
+    def __call__(self, images: Tensor, rng: np.random.Generator, *, alike: bool = False) -> Tensor:
+        """Change crops (B, 4, S, S).
+
+        Args:
+            images: the crops.
+            rng: random numbers.
+            alike: whether all are changed in the same way.
+        """
+        n = 1 if alike else len(images)
         scale = 1 + self.scale * rng.uniform(-1, 1, n)
         # Grids reach from -1 to 1.
         shift = 2 * self.shift * rng.uniform(-1, 1, (n, 2))
@@ -167,7 +173,8 @@ class Augmentation:
         maps = np.zeros((n, 2, 3), np.float32)
         maps[:, 0, 0] = maps[:, 1, 1] = scale
         maps[:, :, 2] = shift
-        grid = affine_grid(torch.from_numpy(maps).to(images), list(images.shape), align_corners=False)
+        theta = torch.from_numpy(maps).to(images).expand(len(images), -1, -1)
+        grid = affine_grid(theta, list(images.shape), align_corners=False)
         moved = grid_sample(images, grid, mode="bilinear", padding_mode="zeros", align_corners=False)
         factor = torch.cat((torch.from_numpy(gain), torch.ones(n, 1)), 1).to(images)
         return (moved * factor[..., None, None]).clamp(0, 1)
