@@ -17,7 +17,7 @@ from torch.nn.functional import affine_grid, grid_sample, interpolate, pad
 
 from toile.atomic_file import written_atomically
 from toile.capture.body.subject import Subject
-from toile.capture.data.making import clips_of
+from toile.capture.data.making import DATA_FILE, clips_of
 from toile.capture.garments.garment import Garment
 from toile.capture.layer.silhouette import SilhouetteRays
 from toile.capture.losses.silhouette import distance_field
@@ -298,6 +298,7 @@ class TrainingSet:
         subject: who moves.
         garment: worn.
         clips: one or more.
+        source: short name of what they are, for descriptions.
 
     Attributes:
         cameras: C of them.
@@ -307,12 +308,13 @@ class TrainingSet:
         InputError: no clips, or cameras that differ.
     """
 
-    def __init__(self, subject: Subject, garment: Garment, clips: Sequence[Clip]) -> None:
+    def __init__(self, subject: Subject, garment: Garment, clips: Sequence[Clip], source: str = "") -> None:
         if not clips:
             raise InputError(
                 "Data set has no clips", where="folder", expected="one finished clip or more", got="none"
             )
         self.subject, self.garment, self.clips = subject, garment, tuple(clips)
+        self.source = source
         self.cameras = clips[0].cameras
         self.side = self.cameras[0].width
         for clip in clips:
@@ -341,7 +343,12 @@ class TrainingSet:
         subject = Subject.load(home / "subject.npz")
         garment = Garment.load(home / "garment.npz")
         place = home / _CACHE if cache is None else cache
-        return TrainingSet(subject, garment, [Clip(c, subject.landmark_names, side, place) for c in clips])
+        return TrainingSet(
+            subject,
+            garment,
+            [Clip(c, subject.landmark_names, side, place) for c in clips],
+            _source(home, clips),
+        )
 
     def only(self, camera: int) -> TrainingSet:
         """The same frames watched by one camera only."""
@@ -419,7 +426,7 @@ class _OneCamera(TrainingSet):
     """A data set of which one camera alone is known."""
 
     def __init__(self, whole: TrainingSet, camera: int) -> None:
-        super().__init__(whole.subject, whole.garment, whole.clips)
+        super().__init__(whole.subject, whole.garment, whole.clips, whole.source)
         if not 0 <= camera < len(self.cameras):
             raise InputError(
                 "No such camera", where="camera", expected=f"0 to {len(self.cameras) - 1}", got=str(camera)
@@ -435,6 +442,13 @@ class _OneCamera(TrainingSet):
     @property
     def _watching(self) -> list[int]:
         return [self._camera]
+
+
+def _source(home: Path, clips: Sequence[Path]) -> str:
+    """A data set follows from its description; where it lies is no matter."""
+    description = (home / DATA_FILE).read_bytes() if (home / DATA_FILE).is_file() else b""
+    names = ", ".join(clip.name for clip in clips)
+    return f"{hashlib.sha256(description).hexdigest()[:12]}: {names}"
 
 
 def _write(path: Path, array: npt.NDArray[Any]) -> None:

@@ -101,6 +101,7 @@ class Networks:
 
         What one network has learned to see in a person helps the other; ours, not in the paper.
         """
+        # Nothing of it is random: the backbone is a copy, the last layer is zero.
         sim_net = SimNet(self.settings.backbone, self.settings.nodes)
         sim_net.backbone.load_state_dict(self.pose_net.backbone.state_dict())
         return replace(self, sim_net=sim_net)
