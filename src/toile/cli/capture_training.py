@@ -69,12 +69,39 @@ def train(cfg: DictConfig, last: str) -> Path:
     with Shown(log) as progress:
         data = TrainingSet.load(Path(str(cfg.folder)), settings.backbone.side)
         data.prepare(progress)
-    before: Path | None = None
-    for name in _ORDER[: _ORDER.index(last) + 1]:
+    before, done = _start(cfg)
+    if _ORDER.index(last) < done:
+        raise InputError(
+            "Stage comes before that of the weights",
+            where="weights",
+            expected=f"weights of a stage before {last}",
+            got=f"{before}: {_ORDER[done - 1]}",
+        )
+    for name in _ORDER[done : _ORDER.index(last) + 1]:
         label = f"{name}-{cfg.variant}" if cfg.variant and name == "physics" else name
         before = _stage(cfg, name, Path(str(cfg.output)) / label, data, settings, before)
     assert before is not None
     return before
+
+
+def _start(cfg: DictConfig) -> tuple[Path | None, int]:
+    """Weights to begin with, and how many stages they have behind them.
+
+    Raises:
+        InputError: weights of no stage that others follow.
+    """
+    if cfg.weights is None:
+        return None, 0
+    path = Path(str(cfg.weights))
+    stage = load_networks(path).description.get("stage", "none")
+    if stage not in _ORDER:
+        raise InputError(
+            "Weights cannot be trained on",
+            where=str(path),
+            expected=f"weights of {' or '.join(_ORDER[:-1])}",
+            got=f"those of {stage}",
+        )
+    return path, _ORDER.index(stage) + 1
 
 
 def adapt(cfg: DictConfig) -> Path:
@@ -155,6 +182,8 @@ def _networks(
     if before is None:
         return Networks.new(data.subject, data.garment, settings, seed)
     networks = load_networks(before)
+    if name == "warm":
+        return networks.resized(settings, str(before)).with_sim_net()
     if networks.settings != settings:
         raise InputError(
             "Networks have another size",
@@ -162,7 +191,7 @@ def _networks(
             expected=str(settings),
             got=str(networks.settings),
         )
-    return networks.with_sim_net() if name == "warm" else networks
+    return networks
 
 
 def _description(cfg: DictConfig, stage: Stage, before: Path | None) -> dict[str, Any]:

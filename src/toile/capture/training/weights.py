@@ -14,6 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from toile.atomic_file import written_atomically
+from toile.capture.baselines.one_piece import OnePieceDeformation
 from toile.capture.body.subject import Subject
 from toile.capture.deformation.deform import Deformation
 from toile.capture.deformation.graph import embedded_graph, fabric_rigidity
@@ -40,10 +41,12 @@ class NetworkSettings:
     Attributes:
         backbone: of both networks.
         nodes: K, of the garment's embedded graph.
+        one_piece: whether body and garment are one mesh with one graph of K nodes, as in DeepCap.
     """
 
     backbone: BackboneSettings = field(default_factory=BackboneSettings)
-    nodes: Count = 32
+    nodes: Count = 96
+    one_piece: bool = False
 
 
 @dataclass
@@ -85,16 +88,39 @@ class Networks:
         Raises:
             InputError: more nodes than the garment has vertices, or another setting that does not fit.
         """
-        graph = embedded_graph(
-            garment.rest_vertices, garment.faces, settings.nodes, fabric_rigidity(garment.material)
-        )
-        deformation = Deformation(subject, garment, graph)
+        if settings.one_piece:
+            deformation: Deformation = OnePieceDeformation(subject, garment, settings.nodes)
+        else:
+            graph = embedded_graph(
+                garment.rest_vertices, garment.faces, settings.nodes, fabric_rigidity(garment.material)
+            )
+            deformation = Deformation(subject, garment, graph)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             limits = subject.joint_limits[deformation.driven]
             pose_net = PoseNet(settings.backbone, limits)
             sim_net = SimNet(settings.backbone, settings.nodes) if with_sim_net else None
         return Networks(settings, deformation, pose_net, sim_net, garment)
+
+    def resized(self, settings: NetworkSettings, where: str) -> Networks:
+        """The same PoseNet with a garment of another graph, whose SimNet is still to come.
+
+        Args:
+            settings: their backbone is that of these networks.
+            where: these weights are, for the message.
+
+        Raises:
+            InputError: another backbone.
+        """
+        if settings.backbone != self.settings.backbone:
+            raise InputError(
+                "Networks have another size",
+                where=where,
+                expected=str(settings.backbone),
+                got=str(self.settings.backbone),
+            )
+        new = Networks.new(self.subject, self.garment, settings, 0)
+        return replace(new, pose_net=self.pose_net, description=self.description)
 
     def with_sim_net(self) -> Networks:
         """The same with a SimNet that leaves the garment posed only; its backbone begins as PoseNet's.
@@ -180,7 +206,9 @@ def load_networks(path: Path | str | None = None, deformation: Deformation | Non
     content = _read(path)
     try:
         given = content["settings"]
-        settings = NetworkSettings(BackboneSettings(**given["backbone"]), int(given["nodes"]))
+        settings = NetworkSettings(
+            BackboneSettings(**given["backbone"]), int(given["nodes"]), bool(given.get("one_piece", False))
+        )
         subject = _from_bytes(content["subject"], Subject)
         garment = _from_bytes(content["garment"], Garment)
         networks = Networks.new(subject, garment, settings, 0, with_sim_net=content["sim_net"] is not None)
