@@ -1,4 +1,4 @@
-"""``toile capture data | page | export | pose | warm | physics | adapt | run``: people in moving garments."""
+"""``toile capture ACTION``: people in moving garments, data of them, and networks that reconstruct them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def run(cfg: DictConfig) -> None:
     Raises:
         InputError: no such action.
     """
-    actions = {"data": _data, "page": _page, "export": _export, "run": _run}
+    actions = {"data": _data, "page": _page, "export": _export, "run": _run, "tables": _tables}
     actions |= dict.fromkeys(("pose", "warm", "physics", "adapt"), _train)
     if str(cfg.action) not in actions:
         raise InputError(
@@ -63,6 +63,13 @@ def _run(cfg: DictConfig) -> None:
     from toile.cli.capture_run import run_clips
 
     run_clips(cfg)
+
+
+def _tables(cfg: DictConfig) -> None:
+    """What is trained against what it is compared with."""
+    from toile.cli.capture_tables import write_tables
+
+    write_tables(cfg)
 
 
 def _export(cfg: DictConfig) -> None:

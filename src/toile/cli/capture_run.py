@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-import math
-from dataclasses import asdict
 from pathlib import Path
 
 from omegaconf import DictConfig
@@ -130,7 +128,7 @@ def _one(
             networks.check_belongs(*_shared(folder), where=str(folder))
             clip = MeasuredClip.load(folder, WarpRenderer(2), view, int(cfg.every))
             measures = {
-                name: _plain(asdict(clip.measure(found.reconstruction(resolved=resolved))))
+                name: clip.measure(found.reconstruction(resolved=resolved)).to_dict()
                 for name, resolved in (("before_resolution", False), ("after_resolution", True))
             }
             written.append(write_text(place / MEASURES_FILE, json.dumps(measures, indent=1) + "\n"))
@@ -139,8 +137,3 @@ def _one(
 
 def _shared(clip: Path) -> tuple[Subject, Garment]:
     return Subject.load(clip.parent / "subject.npz"), Garment.load(clip.parent / "garment.npz")
-
-
-def _plain(values: dict[str, float]) -> dict[str, float | None]:
-    """What does not exist is null in JSON."""
-    return {name: value if math.isfinite(value) else None for name, value in values.items()}

@@ -8,8 +8,8 @@ it for all methods. The true one is a shift of every frame that puts the middle 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
 from functools import cached_property
 from pathlib import Path
 
@@ -69,6 +69,15 @@ class Measures:
     vertex_error_true_translation_mm: float
     vertex_error_visible_true_translation_mm: float
     vertex_error_hidden_true_translation_mm: float
+
+    def to_dict(self) -> dict[str, float | None]:
+        """As JSON values; None where there is none."""
+        return {k: v if math.isfinite(v) else None for k, v in asdict(self).items()}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, float | None]) -> Measures:
+        """Inverse of to_dict."""
+        return cls(**{k: math.nan if v is None else float(v) for k, v in values.items()})
 
 
 def combined(several: Sequence[Measures]) -> Measures:
