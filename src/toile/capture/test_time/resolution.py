@@ -53,8 +53,8 @@ class ResolutionSettings:
 
     smoothness: NonNegative = 0.02
     passes: Count = 6
-    thickness: Positive = 0.002
-    body_thickness: Positive = 0.001
+    thickness: Positive = 0.001
+    body_thickness: Positive = 0.0005
     reach: Positive = 0.15
     body_reach: Positive = 0.04
 
