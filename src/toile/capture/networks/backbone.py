@@ -36,7 +36,7 @@ class BackboneSettings:
             wherever that is. Here it matters where in the crop a limb is.
     """
 
-    depth: Literal[10, 18, 50] = 10
+    depth: Literal[10, 18, 50] = 18
     width: Positive = 0.5
     side: Count = 128
     grid: Count = 4

@@ -14,7 +14,7 @@ from toile.capture.losses.landmarks import landmark_loss
 from toile.capture.losses.rigidity import rigidity_loss, rotation_loss
 from toile.capture.training.frames import Batch
 from toile.learning.capture.physics_stage import PhysicsSettings, PhysicsStage
-from toile.limits import Count, NonNegative
+from toile.limits import Count, CountOrZero, NonNegative, TwoOrMore
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,7 +30,8 @@ class AdaptationSettings(PhysicsSettings):
     steps: Count = 300
     learning_rate: NonNegative = 1e-4
     rigidity_weight: NonNegative = 3.0
-    window: Count = 2
+    window: TwoOrMore = 2
+    replays: CountOrZero = 0
     landmark_weight: NonNegative = 10.0
     simulation_every: NonNegative = 10
 

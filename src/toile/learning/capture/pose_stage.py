@@ -23,7 +23,9 @@ class PoseSettings(StageSettings):
         rest_weight: of θ², for angles that landmarks say nothing about; ours [1/rad²].
     """
 
-    steps: Count = 375
+    steps: Count = 2500
+    batch: Count = 16
+    learning_rate: NonNegative = 1.5e-3
     landmark_weight: NonNegative = 10.0
     rest_weight: NonNegative = 1e-3
 

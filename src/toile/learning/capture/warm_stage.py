@@ -32,7 +32,8 @@ class WarmSettings(StageSettings):
         attachment_weight: of Eq. 6 [1/m²].
     """
 
-    steps: Count = 250
+    steps: Count = 1250
+    batch: Count = 16
     learning_rate: NonNegative = 5e-4
     silhouette_weight: NonNegative = 30.0
     rigidity_weight: NonNegative = 3.0
