@@ -100,6 +100,47 @@ base-law: setup ## Measure how far base laws miss cloth of an independent engine
 capture-layer: setup ## The simulation layer of moving garments (an hour): docs/results/capture_layer.csv; resumes
 	$(BIN)/python benchmarks/capture_layer.py
 
+# One camera: PRESET=tiny learns nothing and is over in a minute. Everything goes on where it was interrupted.
+PRESET ?= demo
+CAPTURE := outputs/capture/$(PRESET)
+CAPTURE_SEEDS ?= 0 1 2
+CAPTURE_ABLATIONS ?= no_silhouette_rays frames_2 frames_5
+CAPTURE_TABLE ?= docs/results/capture
+CAPTURE_DOMAINS ?= $(if $(filter tiny,$(PRESET)),,studio wild)
+CAPTURE_FRAMES ?= $(if $(filter tiny,$(PRESET)),6,40)
+capture = $(BIN)/toile capture $(1) preset=$(PRESET)
+# Motions, repetitions and seed of a data set.
+capture_data = $(call capture,data) folder=$(CAPTURE)/$(1) settings.motions=[$(2)] settings.repetitions=$(3) settings.seed=$(4) settings.n_frames=$(CAPTURE_FRAMES)
+TRAINED_MOTIONS = $(if $(filter tiny,$(PRESET)),walk,walk$(comma)twirl$(comma)squat$(comma)turn)
+
+.PHONY: capture-data
+capture-data: setup
+	$(call capture_data,train,$(TRAINED_MOTIONS),$(if $(filter tiny,$(PRESET)),1,2),1)
+	$(call capture_data,own,walk$(comma)squat,1,1000)
+
+.PHONY: capture-demo
+capture-demo: capture-data ## One camera to body and garment, from nothing to a page (ten minutes): data, training, run; resumes
+	$(call capture,physics) folder=$(CAPTURE)/train output=$(CAPTURE)/seed0
+	$(call capture,run) run=$(CAPTURE)/own weights=$(CAPTURE)/seed0/physics/weights.pt result=$(CAPTURE)/run
+
+.PHONY: capture-tables
+capture-tables: capture-data ## One camera: training with three seeds, ablations, baselines (hours): docs/results/capture.csv; resumes
+	$(call capture_data,unseen,kick,1,1000)
+	$(foreach stage,$(CAPTURE_DOMAINS),$(call capture,data) domain=blender domain/stage=$(stage) folder=$(CAPTURE)/$(stage) settings.motions=[walk] settings.n_frames=24 settings.seed=2000 && )true
+	set -e; for seed in $(CAPTURE_SEEDS); do \
+		place=$(CAPTURE)/seed$$seed; training="folder=$(CAPTURE)/train seed=$$seed"; \
+		$(call capture,physics) $$training output=$$place; \
+		for ablation in $(CAPTURE_ABLATIONS); do \
+			$(call capture,physics) $$training output=$$place ablation=$$ablation; done; \
+		$(call capture,warm) $$training output=$$place/one_piece ablation=one_piece weights=$$place/pose/weights.pt; \
+		for domain in $(CAPTURE_DOMAINS); do \
+			$(call capture,adapt) seed=$$seed output=$$place/$$domain run=$(CAPTURE)/$$domain/000-walk weights=$$place/physics/weights.pt; done; \
+	done
+	$(call capture,tables) tables.trained=$(CAPTURE) tables.output=$(CAPTURE_TABLE) every=4 \
+		tables.seeds=[$(call list,$(CAPTURE_SEEDS))] tables.domains.own=[$(CAPTURE)/own] tables.domains.unseen=[$(CAPTURE)/unseen] \
+		$(foreach stage,$(CAPTURE_DOMAINS),tables.domains.$(stage)=[$(CAPTURE)/$(stage)]) \
+		"tables.note='make capture-tables: preset $(PRESET), seeds $(CAPTURE_SEEDS), held-out clips.'"
+
 .PHONY: session-ladder
 session-ladder: setup ## Where a diagnosis of several clips loses what they know (hours): docs/results/session_ladder.md; resumes
 	$(BIN)/python benchmarks/session_ladder.py

@@ -60,6 +60,18 @@ CASES = [
     Case(GROUP, "capture: page of no data set", ("capture", "page", "run=nowhere"), says=("nowhere",)),
     Case(
         GROUP,
+        "capture: run with weights that are none",
+        ("capture", "run", "run=nowhere", "weights=clip.mp4"),
+        says=("weights", "clip.mp4"),
+    ),
+    Case(
+        GROUP,
+        "capture: run of a filter without a middle",
+        ("capture", "run", "run=nowhere", "finish.smoothing.frames=4"),
+        says=("odd",),
+    ),
+    Case(
+        GROUP,
         "a data folder that is none",
         ("doctor", "scene=cloth"),
         environment={"TOILE_DATA": "clip.mp4"},

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import json
+import shutil
 from pathlib import Path
 
 import numpy as np
 from hydra import compose, initialize_config_dir
 
+from toile.capture.body.subject import Subject
+from toile.capture.garments import Garment
+from toile.capture.networks.backbone import BackboneSettings
+from toile.capture.prediction import Prediction
+from toile.capture.training.weights import Networks, NetworkSettings
 from toile.cli.configuration import CONF, register_resolvers
 from toile.scenes.multi_view import load_multi_view
 
@@ -54,6 +61,47 @@ def test_data_page_and_export_of_the_default_subject(toile) -> None:
     assert "another settings" in other.err
 
 
+def test_run_with_untrained_networks(toile) -> None:
+    """Networks that know nothing leave the person at rest; files, measures and what is refused."""
+    assert toile("capture", "data", *TINY).status == 0
+    subject, garment = Subject.load("set/subject.npz"), Garment.load("set/garment.npz")
+    settings = NetworkSettings(BackboneSettings(width=0.125, side=32, grid=1), nodes=8)
+    networks = Networks.new(subject, garment, settings, seed=0, with_sim_net=True)
+    networks.save("weights.pt", {"command": "none"})
+    run = ("capture", "run", "run=set", "weights=weights.pt", "result=out", "view=1")
+    made = toile(*run)
+    assert made.status == 0, made.err
+    place = Path("out/000-squat")
+    found = Prediction.load(place / "prediction.npz")
+    assert len(found) == 3
+    assert found.camera == load_multi_view("set/000-squat").cameras[1]
+    assert "reconstruction over it" in (place / "index.html").read_text()
+    assert (place / "motion.glb").read_bytes()[:4] == b"glTF"
+    measures = json.loads((place / "measures.json").read_text())
+    assert (
+        measures["after_resolution"]["penetration_max_mm"]
+        <= measures["before_resolution"]["penetration_max_mm"]
+    )
+    assert 0 < measures["after_resolution"]["mpjpe_mm"] < 1000
+    first = (place / "prediction.npz").read_bytes()
+    assert toile(*run).status == 0
+    assert (place / "prediction.npz").read_bytes() == first
+
+    views = Path("set/000-squat/views/camera0")
+    for name, stem in (("frames", "rgb"), ("masks/person", "mask"), ("masks/garment", "garment_mask")):
+        Path(name).mkdir(parents=True)
+        for file in views.glob(f"{stem}_*.png"):
+            shutil.copy(file, Path(name) / file.name)
+    own = ("capture", "run", "video=frames", "weights=weights.pt", "result=mine")
+    refused = toile(*own)
+    assert refused.status == 2
+    assert "masks" in refused.err
+    made = toile(*own, "fps=30", "masks=masks", f"landmarks={views / 'landmarks.npy'}")
+    assert made.status == 0, made.err
+    assert Path("mine/index.html").is_file()
+    assert not Path("mine/measures.json").exists()
+
+
 def test_bad_input_is_named(toile) -> None:
     for arguments, message in (
         (("capture", "dance"), "No such action"),
@@ -62,6 +110,8 @@ def test_bad_input_is_named(toile) -> None:
         (("capture", "data", "settings.subject=nobody", "folder=y"), "No such subject"),
         (("capture", "page", "run=nowhere"), "no data set"),
         (("capture", "export", "run=nowhere"), "no data set"),
+        (("capture", "run", "run=nowhere", "weights=nothing.pt"), "No weights"),
+        (("capture", "run", "finish.smoothing.frames=4"), "odd"),
     ):
         outcome = toile(*arguments)
         assert outcome.status == 2, arguments

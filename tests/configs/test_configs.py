@@ -31,6 +31,7 @@ DELTAS = (
     "blind=tiny",
     "blind=sessions",
     "capture",
+    "backbone",
 )
 OPTIONS = sorted(
     f"{path.parent.relative_to(CONF).as_posix()}={path.stem}"
@@ -57,6 +58,8 @@ def overrides(option: str) -> list[str]:
             return [f"fabric@garment.material={name}"]
         case ["simulator", "gradient"]:
             return ["simulator=surrogate", option]
+        case ["stage"]:
+            return [f"stage@stages.{name}={name}"]
         case ["domain", "stage"]:
             return ["domain=blender", option]
         case ["ablation_of", optimization]:

@@ -1,4 +1,4 @@
-"""``toile capture data | page | export``: people in moving garments."""
+"""``toile capture ACTION``: people in moving garments, data of them, and networks that reconstruct them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ def run(cfg: DictConfig) -> None:
     Raises:
         InputError: no such action.
     """
-    actions = {"data": _data, "page": _page, "export": _export}
+    actions = {"data": _data, "page": _page, "export": _export, "run": _run, "tables": _tables}
+    actions |= dict.fromkeys(("pose", "warm", "physics", "adapt"), _train)
     if str(cfg.action) not in actions:
         raise InputError(
             "No such action", where="toile capture", expected=", ".join(actions), got=str(cfg.action)
@@ -45,6 +46,30 @@ def _page(cfg: DictConfig) -> None:
     for clip in clips_of(Path(str(cfg.run))):
         with Shown(log) as progress:
             print_path(write_capture_page(clip, view=int(cfg.view), every=int(cfg.every), report=progress))
+
+
+def _train(cfg: DictConfig) -> None:
+    """Stages of the training."""
+    from toile.cli.capture_training import adapt, train
+
+    if str(cfg.action) == "adapt":
+        adapt(cfg)
+    else:
+        train(cfg, str(cfg.action))
+
+
+def _run(cfg: DictConfig) -> None:
+    """Body and garment from one camera."""
+    from toile.cli.capture_run import run_clips
+
+    run_clips(cfg)
+
+
+def _tables(cfg: DictConfig) -> None:
+    """What is trained against what it is compared with."""
+    from toile.cli.capture_tables import write_tables
+
+    write_tables(cfg)
 
 
 def _export(cfg: DictConfig) -> None:

@@ -83,11 +83,11 @@ COMMANDS = {
     ),
     "capture": Command(
         "toile.cli.capture",
-        "make data of people in moving garments; show and export it",
+        "people in moving garments: data, and body and garment from one camera",
         "data preset=demo folder=<new folder>",
         plain="action",
-        words=("data", "page", "export"),
-        aliases=(("preset", "capture"),),
+        words=("data", "page", "export", "pose", "warm", "physics", "adapt", "run", "tables"),
+        aliases=(("preset", "capture"), ("ablation", "capture_ablation")),
     ),
     "subject": Command(
         "toile.cli.subject",

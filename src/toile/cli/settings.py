@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import inspect
 import math
+import sys
 import types
 import typing
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import is_dataclass
 from enum import Enum
 from functools import cache
 from pathlib import Path
@@ -29,6 +31,8 @@ Frames = Annotated[Count, Unit("frames")]
 Jobs = Annotated[Count, Unit("processes")] | Literal[-1]
 
 COMMAND_SETTINGS: Mapping[str, Any] = {
+    "checkpoint_every": Annotated[Count, Unit("steps")],
+    "pictures_every": Annotated[Count, Unit("steps")],
     "seed": Seed | None,
     "objective": str | None,
     "report.pictures": Annotated[Count, Unit("frames")],
@@ -146,8 +150,22 @@ def _annotations(target: str) -> dict[str, Any]:
     function: Any = called
     if inspect.isclass(called) and not issubclass(called, tuple):
         function = called.__init__  # type: ignore[misc]
-    hints = typing.get_type_hints(function, include_extras=True)
+    # A dataclass's __init__ has the fields of the classes it is derived from, whose modules are others.
+    names = {name: value for base in reversed(_bases(called)) for name, value in _module(base).items()}
+    hints = typing.get_type_hints(function, names or None, include_extras=True)
     return {name: hint for name, hint in hints.items() if name != "return"}
+
+
+def _bases(called: Callable[..., Any]) -> Sequence[type]:
+    """Dataclasses that a dataclass is derived from, itself first; nothing for anything else."""
+    if not (inspect.isclass(called) and is_dataclass(called)):
+        return ()
+    return [base for base in called.__mro__ if is_dataclass(base)]
+
+
+def _module(kind: type) -> Mapping[str, Any]:
+    """Names that its annotations may use."""
+    return vars(sys.modules[kind.__module__])
 
 
 def _failure(place: str, value: Any, kind: Any) -> InputError | None:

@@ -205,14 +205,29 @@ def film(
 
 
 def drawn(
-    truth: Truth, camera: Camera, looks: Looks, renderer: Renderer, frames: Sequence[int]
+    truth: Truth,
+    camera: Camera,
+    looks: Looks,
+    renderer: Renderer,
+    frames: Sequence[int],
+    behind: Sequence[npt.NDArray[np.floating]] | None = None,
 ) -> list[npt.NDArray[np.uint8]]:
-    """Pictures (h, w, 3), uint8, of some frames before a grey wall, e.g. from where no camera stood."""
+    """Pictures (h, w, 3), uint8, of some frames, e.g. from where no camera stood.
+
+    Args:
+        truth: what moves.
+        camera: with its pose.
+        looks: textures and light.
+        renderer: any renderer.
+        frames: numbers of the frames.
+        behind: a picture (h, w, 3) in [0, 1] for each of them; a grey wall if None.
+    """
     model = TexturedPair(truth, looks)
     found = []
-    for f in frames:
+    for k, f in enumerate(frames):
         picture = model.draw(f, camera, renderer)
-        rgb = picture.rgb + (1 - picture.person)[..., None] * 0.93
+        wall = torch.tensor(0.93) if behind is None else torch.from_numpy(np.asarray(behind[k], np.float32))
+        rgb = picture.rgb + (1 - picture.person)[..., None] * wall
         found.append((255 * rgb.clamp(0, 1)).round().byte().numpy())
     return found
 

@@ -141,6 +141,8 @@ class Deformation:
         driven: (D,) int64, joints that θ turns; see ``driven_joints`` if None.
 
     Attributes:
+        subject: see above.
+        garment: see above.
         garment_mesh: the garment, with its skinning weights and graph.
         body_mesh: the body.
         driven: see above.
@@ -156,6 +158,7 @@ class Deformation:
         driven: Tensor | None = None,
     ) -> None:
         self.subject = subject
+        self.garment = garment
         self.driven = driven_joints(subject) if driven is None else driven
         indices, weights = garment_skinning(garment, subject, smoothing)
         self.garment_mesh = DeformableMesh(garment.rest_vertices, indices, weights, graph)

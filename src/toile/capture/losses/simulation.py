@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
@@ -10,6 +11,7 @@ import torch
 from torch import Tensor
 
 from toile.capture.layer.layer import SimulationLayer
+from toile.capture.layer.silhouette import SilhouetteRays
 from toile.errors import InputError
 
 
@@ -50,11 +52,13 @@ class LayerFrameStep:
         layer: of the garment.
         fps: frames per second.
         substeps: per frame.
+        silhouettes: of every frame's views, for Eq. 1 in the sub-step that ends there; none if empty.
     """
 
     layer: SimulationLayer
     fps: float
     substeps: int = 4
+    silhouettes: Sequence[Sequence[SilhouetteRays]] = ()
 
     def __call__(
         self, positions: Tensor, velocities: Tensor, body: Tensor, next_body: Tensor, frame: int
@@ -65,7 +69,8 @@ class LayerFrameStep:
         x, v, begin, converged = positions.double().cpu(), velocities.double().cpu(), before, True
         for sub in range(1, self.substeps + 1):
             end = after if sub == self.substeps else torch.lerp(before, after, sub / self.substeps)
-            step = self.layer.step(x, v, begin, end, h)
+            seen = self.silhouettes[frame] if self.silhouettes and sub == self.substeps else ()
+            step = self.layer.step(x, v, begin, end, h, silhouettes=seen)
             x, v, begin = step.positions, step.velocities, end
             converged = converged and step.converged
         return Stepped(x.to(positions), converged)

@@ -64,6 +64,40 @@ class ContactBalance:
         return self.maximum / self.mean_weight
 
 
+@dataclass(frozen=True)
+class Touching:
+    """Where a body may push a garment; moves with both, so that it is found once for any translation.
+
+    Attributes:
+        contact: whether a vertex is near enough (F, N) bool; none in the first and last frame.
+        normals: (F, N, 3), unit, out of the body.
+    """
+
+    contact: Mask
+    normals: Floats
+
+    @staticmethod
+    def of(
+        positions: Floats, body: Floats, body_faces: Indices, inactive: Mask | None, touching: float
+    ) -> Touching:
+        """Found by libigl; arguments as in ``balance_with_contact``."""
+        passive = np.zeros(body.shape[1], np.bool_) if inactive is None else inactive
+        faces = np.ascontiguousarray(body_faces[~passive[body_faces].any(1)])
+        contact, normals = np.zeros(positions.shape[:2], np.bool_), np.zeros(positions.shape)
+        for f in range(1, len(positions) - 1):
+            distance, _, nearest, there = igl.signed_distance(
+                np.ascontiguousarray(positions[f]),
+                np.ascontiguousarray(body[f]),
+                faces,
+                igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL,
+            )
+            apart = (positions[f] - nearest) / np.where(distance == 0, 1.0, distance)[:, None]
+            far = np.abs(distance) > 1e-9
+            normals[f] = np.where(far[:, None], apart, there)
+            contact[f] = distance < touching
+        return Touching(contact, normals)
+
+
 def balance_with_contact(
     garment: Garment,
     cloth: Cloth,
@@ -73,7 +107,7 @@ def balance_with_contact(
     fps: float,
     *,
     inactive: Mask | None = None,
-    touching: float = TOUCHING,
+    touching: float | Touching = TOUCHING,
 ) -> ContactBalance:
     """Out-of-balance force of a garment's motion on a moving body.
 
@@ -85,7 +119,7 @@ def balance_with_contact(
         body_faces: (T, 3), a closed surface.
         fps: frames per second.
         inactive: (V,) vertices of the body that push nothing.
-        touching: see TOUCHING.
+        touching: see TOUCHING; or where that is, if it is known.
 
     Raises:
         InputError: shapes that do not fit, or fewer than three frames.
@@ -118,21 +152,14 @@ def balance_with_contact(
     left = np.full(positions.shape[:2], np.nan)
     free = np.ones(positions.shape[1], np.bool_)
     free[garment.attached.numpy()] = False
-    passive = np.zeros(body.shape[1], np.bool_) if inactive is None else inactive
-    faces = np.ascontiguousarray(body_faces[~passive[body_faces].any(1)])
+    where = touching
+    if not isinstance(where, Touching):
+        where = Touching.of(positions, body, body_faces, inactive, where)
     for f in range(1, len(positions) - 1):
         r = plain.residual[f - 1, :, 0].numpy()
-        distance, _, nearest, normals = igl.signed_distance(
-            np.ascontiguousarray(positions[f]),
-            np.ascontiguousarray(body[f]),
-            faces,
-            igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL,
+        remaining = np.where(
+            where.contact[f, :, None], r - on_cone(r, where.normals[f], material.friction), r
         )
-        apart = (positions[f] - nearest) / np.where(distance == 0, 1.0, distance)[:, None]
-        far = np.abs(distance) > 1e-9
-        n = np.where(far[:, None], apart, normals)
-        contact = distance < touching
-        remaining = np.where(contact[:, None], r - on_cone(r, n, material.friction), r)
         left[f] = np.where(free, np.linalg.norm(remaining, axis=1), np.nan)
     return ContactBalance(left, plain.mean_weight, plain)
 

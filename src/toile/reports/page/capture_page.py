@@ -40,6 +40,7 @@ from toile.reports.page.document import floats, number, picture_address, render
 from toile.reports.page.viewer import Video
 from toile.reports.palette import ERROR_SCALE, FONT, FORCE_SCALE, INK, MUTED, RULE
 from toile.scenes.multi_view import load_multi_view
+from toile.scenes.views import MultiView
 
 PAGE_FILE = "index.html"
 _BODY_FACES = 3000  # of the body as it is shown; the page would weigh ten times as much
@@ -82,7 +83,7 @@ class CapturePage:
 
     Attributes:
         name: of the clip.
-        truth: motion of body and garment.
+        truth: motion of body and garment, the true one or one that was reconstructed.
         frames: numbers of the frames shown.
         video: pictures of these frames by name.
         measured: penetration.
@@ -216,6 +217,51 @@ def write_capture_page(clip: Path, view: int = 0, every: int = 1, report: Report
     """
     truth = Truth.load(clip / TRUTH_FILE)
     recording = load_multi_view(clip)
+    _check_shown(recording, view, every)
+    subject = None
+    if (clip.parent / "subject.npz").is_file():
+        subject = Subject.load(clip.parent / "subject.npz")
+    garment = _garment_of(clip, truth)
+    law = _law(truth)
+    page = _page_of(truth, recording, view, every, subject, garment, law, report, name=clip.name)
+    return write_text(clip / PAGE_FILE, page.render())
+
+
+def write_prediction_page(
+    motion: Truth,
+    recording: MultiView,
+    subject: Subject,
+    garment: Garment,
+    file: Path,
+    *,
+    name: str,
+    view: int = 0,
+    every: int = 1,
+    report: Report = silent,
+) -> Path:
+    """Measure what was reconstructed from one camera and write its page; no truth is needed.
+
+    Args:
+        motion: body and garment as they were reconstructed.
+        recording: what was filmed.
+        subject: whose body.
+        garment: the model's.
+        file: of the page.
+        name: of the clip.
+        view: camera that was reconstructed from.
+        every: only so many frames are shown.
+        report: progress.
+
+    Raises:
+        InputError: no such camera.
+    """
+    _check_shown(recording, view, every)
+    known = garment if motion.n_frames > 2 else None
+    page = _page_of(motion, recording, view, every, subject, known, None, report, name=name)
+    return write_text(file, page.render())
+
+
+def _check_shown(recording: MultiView, view: int, every: int) -> None:
     if not 0 <= view < len(recording.views) or every < 1:
         raise InputError(
             "No such view",
@@ -223,33 +269,65 @@ def write_capture_page(clip: Path, view: int = 0, every: int = 1, report: Report
             expected=f"a camera from 0 to {len(recording.views) - 1}, every frame or fewer",
             got=f"{view}, {every}",
         )
+
+
+def _page_of(
+    motion: Truth,
+    recording: MultiView,
+    view: int,
+    every: int,
+    subject: Subject | None,
+    garment: Garment | None,
+    law: type[Membrane] | None,
+    report: Report,
+    *,
+    name: str,
+) -> CapturePage:
+    """Measured and drawn.
+
+    Args:
+        motion: true or reconstructed.
+        recording: what was filmed.
+        view: camera whose images are shown.
+        every: only so many frames are shown.
+        subject: whose arms take no part, if it is known.
+        garment: of the motion, if it is known.
+        law: of the truth's garment; None for a reconstruction, whose garment is the simulation layer's.
+        report: progress.
+        name: of the clip.
+    """
     report("measuring", 0, None)
     inactive = held = balance = None
-    body, cloth = truth.body_positions, truth.garment_positions
-    if (clip.parent / "subject.npz").is_file():
-        inactive = Subject.load(clip.parent / "subject.npz").parts["arms"].numpy()
-    garment = _garment_of(clip, truth)
+    body, cloth = motion.body_positions, motion.garment_positions
+    if subject is not None:
+        inactive = subject.parts["arms"].numpy()
     protocols = [PENETRATION_PROTOCOL, BODY_PENETRATION_PROTOCOL]
     if garment is not None:
         held = garment.attached.numpy()
         rest, density = garment.rest_vertices, garment.material.density
         attached = tuple(garment.attached.tolist())
-        model = mesh_cloth(rest, garment.faces, density, attached, _law(truth), flat=False)
+        model = mesh_cloth(rest, garment.faces, density, attached, law or NeoHookean, flat=law is None)
         balance = balance_with_contact(
-            garment, model, cloth, body, truth.body_faces, truth.fps, inactive=inactive
+            garment, model, cloth, body, motion.body_faces, motion.fps, inactive=inactive
         )
-        protocols.append(CONTACT_PROTOCOL.format(distance=1e3 * TOUCHING) + "; air drag counts as missing")
-    measured = penetration(cloth, truth.garment_faces, body, truth.body_faces, held=held, inactive=inactive)
-    frames = range(0, truth.n_frames, every)
+        drag = "; air drag counts as missing" if law is not None else ""
+        protocols.append(CONTACT_PROTOCOL.format(distance=1e3 * TOUCHING) + drag)
+    measured = penetration(cloth, motion.garment_faces, body, motion.body_faces, held=held, inactive=inactive)
+    frames = range(0, motion.n_frames, every)
     seen = recording.views[view]
-    between = looking_from(recording.cameras[view], math.pi / len(recording.views))
+    between = looking_from(recording.cameras[view], math.pi / max(2, len(recording.views)))
     looks = Looks.random(np.random.default_rng(0), between.width)
     report("drawing", 0, None)
-    novel = drawn(truth, between, looks, WarpRenderer(2), frames)
+    renderer = WarpRenderer(2)
     observed = [(255 * seen.frame(k)).round().byte().numpy() for k in frames]
-    video = Video(seen.camera, {f"camera {seen.name}": observed, "novel view": novel})
-    page = CapturePage(clip.name, truth, list(frames), video, measured, balance, protocols)
-    return write_text(clip / PAGE_FILE, page.render())
+    pictures = {f"camera {seen.name}": observed}
+    if law is None:
+        pictures["reconstruction over it"] = drawn(
+            motion, seen.camera, looks, renderer, frames, [picture / 255 for picture in observed]
+        )
+    pictures["novel view"] = drawn(motion, between, looks, renderer, frames)
+    video = Video(seen.camera, pictures)
+    return CapturePage(name, motion, list(frames), video, measured, balance, protocols)
 
 
 def shown_body(truth: Truth) -> tuple[Floats, npt.NDArray[np.int64]]:

@@ -1,0 +1,1 @@
+"""Networks that state a person's pose and the deformation of the garment from one image."""

@@ -1,0 +1,1 @@
+"""Training of PoseNet and SimNet in stages: pose, warm start, physics, adaptation."""

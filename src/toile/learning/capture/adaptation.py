@@ -1,0 +1,84 @@
+"""Last stage: both networks are refined on the video itself, by one camera (Li et al. 2021, section 4)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+from torch import Tensor, nn
+
+from toile.capture.deformation.deform import Deformed
+from toile.capture.losses.landmarks import landmark_loss
+from toile.capture.losses.rigidity import rigidity_loss, rotation_loss
+from toile.capture.training.frames import Batch
+from toile.learning.capture.physics_stage import PhysicsSettings, PhysicsStage
+from toile.limits import Count, CountOrZero, NonNegative, TwoOrMore
+
+
+@dataclass(frozen=True, kw_only=True)
+class AdaptationSettings(PhysicsSettings):
+    """Settings of the stage; 300 steps as in the paper, the rest is ours.
+
+    Attributes:
+        landmark_weight: of Eq. 4, with pixels as shares of the image's side.
+        simulation_every: steps between two with the simulation, which takes a hundred times as long as the
+            rest; 0 leaves it out. In the steps between, rigidity keeps the garment in shape.
+    """
+
+    steps: Count = 300
+    learning_rate: NonNegative = 1e-4
+    rigidity_weight: NonNegative = 3.0
+    window: TwoOrMore = 2
+    replays: CountOrZero = 0
+    landmark_weight: NonNegative = 10.0
+    simulation_every: NonNegative = 10
+
+
+class AdaptationStage(PhysicsStage):
+    """Refines PoseNet and SimNet by landmarks, silhouettes and physics, as one camera sees them.
+
+    Args:
+        See Stage; ``data`` watched by one camera, ``TrainingSet.only``.
+    """
+
+    NAME: ClassVar[str] = "adapt"
+    NUMBER: ClassVar[int] = 4
+    settings: AdaptationSettings
+
+    @property
+    def trained(self) -> Sequence[nn.Module]:
+        """See Stage."""
+        return (self.pose_net, *super().trained)
+
+    def posed(self, batch: Batch, images: Tensor) -> tuple[Tensor, Tensor]:
+        """θ and α by PoseNet, with gradients."""
+        angles, root = self.pose_net(images)
+        return angles, root
+
+    def terms(self, step: int, rng: np.random.Generator) -> Mapping[str, Tensor]:
+        """See Stage."""
+        s = self.settings
+        every = int(s.simulation_every)
+        if every and step % every == 0:
+            return super().terms(step, rng)
+        batch = self.data.batch([w[0] for w in self.data.draw(s.batch * s.window, 1, rng)])
+        world, A, T = self.deformed(batch, self.images_of(batch, rng))
+        graph = self.networks.deformation.garment_mesh.graph
+        assert graph is not None
+        return {
+            **self.image_terms(batch, world),
+            "rigidity": s.rigidity_weight * rigidity_loss(graph, A, T),
+            "rotations": s.rotation_weight * rotation_loss(graph, A),
+        }
+
+    def image_terms(self, batch: Batch, world: Deformed) -> dict[str, Tensor]:
+        """Eqs. 4, 5 and 6, with their weights."""
+        landmarks = landmark_loss(
+            world.landmarks, self.data.cameras, batch.detections.to(world.landmarks), batch.confidences
+        )
+        weighted = self.settings.landmark_weight * landmarks / self.data.side**2
+        # SimNet moves the garment over a body that is given: the silhouettes do not pose the body.
+        body = None if world.body is None else world.body.detach()
+        return {"landmarks": weighted, **super().image_terms(batch, replace(world, body=body))}

@@ -1,0 +1,186 @@
+"""Third stage: SimNet is supervised by simulation over windows of frames (Li et al. 2021, Eqs. 7 and 8)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from toile.capture.layer.layer import LayerSettings, SimulationLayer
+from toile.capture.losses.rigidity import rotation_loss
+from toile.capture.losses.simulation import (
+    LayerFrameStep,
+    SimulatedWindow,
+    simulated_window,
+    simulation_loss,
+)
+from toile.capture.training.frames import Sample, TrainingSet
+from toile.capture.training.weights import Networks
+from toile.learning.capture.stage import STATE
+from toile.learning.capture.warm_stage import SimNetStage, WarmSettings
+from toile.limits import Count, CountOrZero, NonNegative, Seed, TwoOrMore
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhysicsSettings(WarmSettings):
+    """Settings of the stage; ``rigidity_weight`` is that of nothing: simulation takes its place.
+
+    Attributes:
+        window: F, frames in a row.
+        substeps: of the layer, per frame. With one, implicit Euler damps the motion that starts when a
+            strained garment is let go, which later frames would otherwise see.
+        simulation_weight: of Eq. 8 [1/m²].
+        silhouette_rays: whether the layer is drawn to the silhouettes, Eq. 1.
+        through_layer: whether gradients flow through the layer; the paper's do not.
+        replays: earlier windows per step, drawn at random, that supervise again with the positions simulated
+            back then; ours. A simulation takes a hundred times as long as a pass of the network, and the
+            gradient of one window alone says little.
+        memory: how many windows are kept for that.
+        layer: see LayerSettings.
+    """
+
+    steps: Count = 1500
+    batch: Count = 1
+    learning_rate: NonNegative = 5e-4
+    rigidity_weight: NonNegative = 0.0
+    window: TwoOrMore = 3
+    substeps: Count = 1
+    simulation_weight: NonNegative = 10.0
+    silhouette_rays: bool = True
+    through_layer: bool = False
+    replays: CountOrZero = 6
+    memory: Count = 40
+    layer: LayerSettings = field(default_factory=LayerSettings)
+
+
+@dataclass(frozen=True)
+class SimulatedFrames:
+    """A window with what the layer made of it.
+
+    Attributes:
+        samples: its frames.
+        images: as the networks got them (F, 4, S, S).
+        positions: Ṽ (F, N, 3) [m].
+        counts: (F,) bool, whether a frame supervises.
+    """
+
+    samples: tuple[Sample, ...]
+    images: Tensor
+    positions: Tensor
+    counts: Tensor
+
+
+class PhysicsStage(SimNetStage):
+    """Trains SimNet by silhouettes, attachment and what the simulation makes of its own output.
+
+    Args:
+        See Stage.
+
+    Attributes:
+        frames_counted: simulated frames that converged and so supervised, over all steps of this process.
+        frames_simulated: all of them.
+    """
+
+    NAME: ClassVar[str] = "physics"
+    NUMBER: ClassVar[int] = 3
+    settings: PhysicsSettings
+
+    def __init__(self, settings: PhysicsSettings, networks: Networks, data: TrainingSet, seed: Seed) -> None:
+        super().__init__(settings, networks, data, seed)
+        self.layer = SimulationLayer.of(data.garment, data.subject, settings.layer)
+        self.frames_counted = self.frames_simulated = 0
+        self._memory: list[SimulatedFrames] = []
+
+    def terms(self, step: int, rng: np.random.Generator) -> Mapping[str, Tensor]:
+        """See Stage."""
+        s, data = self.settings, self.data
+        windows = data.draw(s.batch, s.window, rng)
+        batch = data.batch([sample for window in windows for sample in window])
+        # The same change of the picture throughout a window.
+        images = torch.cat(
+            [
+                s.augmentation(part, np.random.default_rng(rng.integers(2**31)), alike=True)
+                for part in batch.images.to(self.device).split(s.window)
+            ]
+        )
+        world, A, _ = self.deformed(batch, images)
+        assert world.body is not None
+        earlier = [self._memory[k] for k in _drawn(len(self._memory), s.replays, rng)]
+        losses = []
+        for number, window in enumerate(windows):
+            frames = slice(number * s.window, (number + 1) * s.window)
+            rays = [data.rays(sample) for sample in window] if s.silhouette_rays else ()
+            target = simulated_window(
+                world.garment[frames],
+                world.body[frames],
+                LayerFrameStep(self.layer, data.fps, s.substeps, rays),
+                1 / data.fps,
+                through_step=s.through_layer,
+            )
+            self.frames_counted += int(target.counts.sum())
+            self.frames_simulated += s.window - 1
+            losses.append(simulation_loss(world.garment[frames], target))
+            kept = target.positions.detach(), target.counts
+            self._memory.append(SimulatedFrames(tuple(window), images[frames].detach(), *kept))
+        self._memory = self._memory[-s.memory :]
+        last = self.last
+        losses += self._replayed(earlier)
+        self.last = last
+        graph = self.networks.deformation.garment_mesh.graph
+        assert graph is not None
+        return {
+            **self.image_terms(batch, world),
+            # Eqs. 5 and 6 are means over frames, Eq. 8 is a sum over those of a window.
+            "simulation": s.simulation_weight * torch.stack(losses).mean() / (s.window - 1),
+            "rotations": s.rotation_weight * rotation_loss(graph, A),
+        }
+
+    def _replayed(self, windows: Sequence[SimulatedFrames]) -> list[Tensor]:
+        """Losses of earlier windows against what was simulated then."""
+        if not windows:
+            return []
+        assert self.sim_net is not None
+        batch = self.data.batch([sample for window in windows for sample in window.samples])
+        images = torch.cat([window.images for window in windows])
+        angles, root = self.posed(batch, images)
+        garment = self.placed(batch, self.networks.deformation(angles, root, *self.sim_net(images))).garment
+        parts = garment.split([len(window.samples) for window in windows])
+        return [
+            simulation_loss(part, SimulatedWindow(window.positions, window.counts))
+            for part, window in zip(parts, windows, strict=True)
+        ]
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """See Stage; the windows that are replayed as well."""
+        super().on_save_checkpoint(checkpoint)
+        checkpoint[STATE]["memory"] = [
+            {
+                "samples": [(s.clip, s.camera, s.frame) for s in window.samples],
+                "images": window.images,
+                "positions": window.positions,
+                "counts": window.counts,
+            }
+            for window in self._memory
+        ]
+
+    def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Inverse of on_save_checkpoint."""
+        super().on_load_checkpoint(checkpoint)
+        self._memory = [
+            SimulatedFrames(
+                tuple(Sample(*numbers) for numbers in window["samples"]),
+                window["images"],
+                window["positions"],
+                window["counts"],
+            )
+            for window in checkpoint[STATE]["memory"]
+        ]
+
+
+def _drawn(n: int, most: int, rng: np.random.Generator) -> list[int]:
+    """Some of n, each at most once."""
+    return [int(k) for k in rng.choice(n, min(n, most), replace=False)] if n and most else []
