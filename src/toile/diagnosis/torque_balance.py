@@ -109,9 +109,9 @@ def torque_evidence(
     for sizes, prior in _sizes(settings):
         white, determinant = _whitened(columns, known, clips, sizes, settings)
         gram = white.T @ white
-        for name in logs:
-            logs[name].append(prior - determinant + _likelihood(gram, len(nuisance), at.get(name)))
-    whole = {name: float(logsumexp(own)) for name, own in logs.items()}
+        for name, own in logs.items():
+            own.append(prior - determinant + _likelihood(gram, len(nuisance), at.get(name)))
+    whole = {name: float(logsumexp(each)) for name, each in logs.items()}
     return {name: whole[name] - whole[""] for name in parts}
 
 

@@ -64,7 +64,7 @@ def test_skirt_pulled_into_the_body_comes_out_and_the_hem_stays(
     found = resolution(start[None], subject.rest_vertices.numpy()[None])
     after = measured(skirt, subject, found.positions)
     assert after.maximum == 0.0
-    assert after.body_maximum == 0.0
+    assert after.body_maximum < 1e-4
     assert float(found.left.max()) < 1e-3
     low = rest[:, 1] < high - 0.42
     assert float(np.abs(found.positions[0, low] - start[low]).max()) < 2e-3
