@@ -149,6 +149,10 @@ session-ladder: setup ## Where a diagnosis of several clips loses what they know
 torque-balance: setup ## What the balance of torques knows of causes from outside (an hour): docs/results/torque_balance.md; resumes
 	$(BIN)/python benchmarks/torque_balance.py
 
+.PHONY: outside-causes
+outside-causes: setup ## What clips say of causes from outside, forces within free (hours): docs/results/outside_causes.md; resumes
+	$(BIN)/python benchmarks/outside_causes.py
+
 .PHONY: robustness
 robustness: setup ## Give every command bad input: docs/robustness.md; resumes
 	$(BIN)/python benchmarks/robustness.py

@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -47,7 +48,7 @@ from toile.diagnosis.stage_store import StageStore
 from toile.diagnosis.stage_times import StageTimes
 from toile.diagnosis.stored_values import ValueStore
 from toile.diagnosis.workers import ALONE
-from toile.generation.clip_plan import DEFAULT_CLIPS
+from toile.generation.clip_plan import DEFAULT_CLIPS, ClipPlan
 from toile.generation.out_of_family.base_scene import OutOfFamilySettings
 from toile.generation.out_of_family.from_blender import make_clips_with_blender
 from toile.generation.out_of_family.session_set import write_opaque_session
@@ -89,10 +90,10 @@ RUNGS = (
 )
 
 
-def folder_of(session: str) -> Path:
+def folder_of(session: str, within: Path = FOLDER) -> Path:
     """Where a session is kept that SESSIONS names."""
     name, size, seed = session.split(":")
-    return FOLDER / f"{name}_{float(size):g}_{seed}"
+    return within / f"{name}_{float(size):g}_{seed}"
 
 
 def cause_of(folder: str) -> str:
@@ -100,20 +101,20 @@ def cause_of(folder: str) -> str:
     return folder.rsplit("_", 2)[0].removeprefix(BLENDER)
 
 
-def made(session: str) -> Path:
+def made(session: str, within: Path = FOLDER, plans: Sequence[ClipPlan] = DEFAULT_CLIPS) -> Path:
     """A session that SESSIONS names, with the truth beside its clips."""
-    folder = folder_of(session)
+    folder = folder_of(session, within)
     name, size, seed = session.removeprefix(BLENDER).split(":")
-    if not (folder / "truth_2.npy").is_file():
+    if not (folder / f"truth_{len(plans) - 1}.npy").is_file():
         setup = OutOfFamilySettings(
             templates=(), substeps=4, coarse_substeps=3, largest_grid_share=2.5, n_frames=80, fps=50.0
         )
         effects = () if name == "none" else ((name, float(size)),)
         if session.startswith(BLENDER):
-            clips = make_clips_with_blender(folder.name, effects, int(seed), DEFAULT_CLIPS)
+            clips = make_clips_with_blender(folder.name, effects, int(seed), plans)
         else:
-            clips = make_session(setup, SessionRequest(folder.name, effects, int(seed), DEFAULT_CLIPS))
-        films = [(plan, clip.scene) for plan, clip in zip(DEFAULT_CLIPS, clips, strict=True)]
+            clips = make_session(setup, SessionRequest(folder.name, effects, int(seed), plans))
+        films = [(plan, clip.scene) for plan, clip in zip(plans, clips, strict=True)]
         write_opaque_session(folder.name, films, folder)
         for k, clip in enumerate(clips):
             np.save(folder / f"truth_{k}.npy", clip.vertices.numpy())
@@ -141,7 +142,7 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
     settings, stiffness = asked.together, asked.clips[0].settings.stiffness
     motion = _motion(clips, truth, rung, settings, stiffness, pipeline)
     if "force" in rung:
-        settings = replace(settings, fit=replace(settings.fit, force=_FORCE))
+        settings = replace(settings, fit=replace(settings.fit, force=_FORCE, outside=_FORCE))
     width = clips[0].problem.scene.cloth_size[0]
     error = 100 * np.mean(
         [np.linalg.norm(x - t, axis=-1).mean() for x, t in zip(motion.positions, truth, strict=True)]

@@ -59,6 +59,8 @@ class JointFitSettings:
         few: coefficients of an effect that hardly need a prior.
         few_inflation: the factor for effects of no more.
         force: deviation of each mode of a free force that every hypothesis has beside; 0 for none.
+        outside: of those among them that disturb the balance of torques, where there are any, see
+            force_modes.
     """
 
     passes: Count = 25
@@ -70,6 +72,7 @@ class JointFitSettings:
     few: CountOrZero = 3
     few_inflation: Positive = 10.0
     force: Annotated[NonNegative, Unit("m/s²")] = 0.0
+    outside: Annotated[Positive, Unit("m/s²")] = 0.002
 
     def inflation(self, effect: Effect) -> float:
         """Prior deviation of an effect's coefficients in their own units."""
@@ -78,7 +81,7 @@ class JointFitSettings:
     @property
     def size(self) -> Discrepancy:
         """Of the forces; anything where windows have none."""
-        return Discrepancy(self.force or 1.0, self.force or 1.0)
+        return Discrepancy(self.force, self.outside) if self.force else Discrepancy(1.0, 1.0)
 
 
 DEFAULT = JointFitSettings()

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from toile.atomic_file import written_atomically
 from toile.diagnosis.arrays import FRAMES_FILE, VERTICES_FILE
 from toile.diagnosis.decision import UNKNOWN, Calibration
+from toile.diagnosis.effect_evidence import EffectEvidence
 from toile.diagnosis.effect_sensitivities import FORCES
 from toile.diagnosis.effect_size import moved
 from toile.diagnosis.findings import estimates
@@ -23,6 +24,7 @@ from toile.diagnosis.learned.decision import WEIGHTS, LearnedDecision
 from toile.diagnosis.learned.features import clip_features
 from toile.diagnosis.left_out import LeftOut, left_out_shrinks
 from toile.diagnosis.next_clip import expected_gains
+from toile.diagnosis.outside_causes import OutsideCause, OutsideCauses, outside_stage
 from toile.diagnosis.pipeline import Pipeline, Progress
 from toile.diagnosis.problem import DiagnosisProblem
 from toile.diagnosis.record import (
@@ -127,7 +129,8 @@ def diagnose_session(
     times = StageTimes.going_on(folder / TIMES_FILE)
     # Usual effects act whether they are candidates or not.
     acting = (*(CATALOGUE[name]() for name in together.usual), *effects)
-    store = StageStore(folder, ValueStore((*KINDS, JointFit, RefinedMotion), acting), times)
+    kinds = (*KINDS, JointFit, RefinedMotion, OutsideCauses, OutsideCause, EffectEvidence)
+    store = StageStore(folder, ValueStore(kinds, acting), times)
     pipeline = Pipeline(store, progress)
     names = list(dict.fromkeys(clip.device for clip in session.clips))
     devices = [names.index(clip.device) for clip in session.clips]
@@ -148,7 +151,10 @@ def diagnose_session(
     usual = pipeline.run(stages.usual(0.53), motion, plain)
     base = base_of_session(plain, usual)
     weights = SessionWeights.load()
-    progress("what every effect would change", 0.55)
+    outside = pipeline.run(
+        outside_stage(clips, together, settings.stiffness, moving, 0.55, made_from, workers), motion
+    )
+    progress("what every effect would change", 0.62)
     # What acts in the base model is among what is linearised, candidate or not.
     candidates = {effect.NAME for effect in moving}
     considered = [*moving, *(e for e in model.fitting.usual_in(base) if e.NAME not in candidates)]
@@ -157,8 +163,11 @@ def diagnose_session(
     fits |= {name: usual for name in usual.names if name in candidates}
     errors = model.errors(base)
     chosen = promising(base, fits, moving, errors, together.fitted, plain, usual.names)
+    # What leads from outside is predicted as well, whatever its fit under a law says.
+    leads = outside.leading(weights.outside_threshold)
+    chosen += [e for e in moving if leads == e.NAME and e not in chosen]
     for k, effect in enumerate(chosen):
-        share = 0.58 + 0.3 * (k + 1) / (len(chosen) + 1)
+        share = 0.64 + 0.24 * (k + 1) / (len(chosen) + 1)
         fits[effect.NAME] = pipeline.run(stages.fit(effect, share), motion, base)
 
     progress("what the clips say together", 0.88)
@@ -169,7 +178,18 @@ def diagnose_session(
     sizes = {name: moved(fitting.clips, fitting.start, fit, model.width) for name, fit in fits.items()}
     every = {name: sizes.pop(name) for name in usual.names if name in fits}
     evidence = session_evidence(
-        base, fits, effects, of_images, errors, calibration, learned, weights, every, plain, sizes
+        base,
+        fits,
+        effects,
+        of_images,
+        errors,
+        calibration,
+        learned,
+        weights,
+        every,
+        plain,
+        sizes,
+        outside.causes,
     )
     evidence.motion.write(folder / EVIDENCE_FILE)
     scale = evidence.scale

@@ -14,6 +14,7 @@ from toile.diagnosis.effect_evidence import EffectEvidence
 from toile.diagnosis.findings import Finding, finding
 from toile.diagnosis.joint_fit import JointFit
 from toile.diagnosis.model_errors import ModelErrors
+from toile.diagnosis.outside_causes import OutsideCause
 from toile.diagnosis.session_weights import MotionEvidence, SessionWeights
 from toile.effects.base import Effect, Scope
 
@@ -59,6 +60,7 @@ def session_evidence(
     usual: Mapping[str, float] | None = None,
     plain: JointFit | None = None,
     sizes: Mapping[str, float] | None = None,
+    outside: Mapping[str, OutsideCause] | None = None,
 ) -> SessionEvidence:
     """Put together what motion and images of all clips say.
 
@@ -74,9 +76,15 @@ def session_evidence(
         usual: effects that every cloth has, with how far they move this one, see MotionEvidence.
         plain: the base model without its own effects; None where it has none.
         sizes: how far every other effect moves the cloth, see MotionEvidence.
+        outside: what speaks for causes from outside, whatever the law is.
     """
+    outside = outside or {}
     by_name = {effect.NAME: effect for effect in effects}
-    motion = replace(_of_motion(base, fits, errors, learned, usual or {}, plain), sizes=sizes or {})
+    motion = replace(
+        _of_motion(base, fits, errors, learned, usual or {}, plain),
+        sizes={**(sizes or {}), **{name: cause.moves for name, cause in outside.items()}},
+        outside={name: cause.evidence for name, cause in outside.items()},
+    )
     drops = {name: one.drop for name, one in motion.effects.items()}
     left = motion.over_usual
     scale = motion.scale
@@ -93,6 +101,14 @@ def session_evidence(
         n = len(by_name[name].scales)
         covariance = scale * fit.own_covariance[:n, :n]
         findings[name] = finding(by_name[name], motion.nats(name), fit.own[:n], covariance)
+        if name in outside:
+            cause = outside[name]
+            findings[name] = finding(
+                by_name[name],
+                cause.evidence.nats(),
+                cause.coefficients[:n],
+                cause.covariance[:n, :n],
+            )
     logits[UNKNOWN] = none + float(weights.strangeness * np.log(left / weights.strange))
     return SessionEvidence(findings, drops, _chances(logits), left, scale, motion)
 

@@ -38,6 +38,30 @@ class RefiningSettings:
 
 
 @dataclass(frozen=True)
+class FreedSettings:
+    """How causes from outside are judged, the forces within the cloth free, see outside_causes.
+
+    Attributes:
+        force: deviation of a mode of the free force that leaves the balance of torques alone [m/s²]: more
+            than any law is wrong by (0.4 to 0.8 on cloth of other engines), so that what is left is the
+            balance.
+        outside: of one that disturbs it [m/s²].
+        held: deviation of the boundary positions [m] in clips in which nobody moved them: what corners on a
+            coarse grid are wrong by is a force within the cloth here.
+        rounds: fits after which the image term is linearised anew around what they find.
+        passes: of a fit, at most.
+        fitted: causes that are fitted, those with most evidence in the linearised model.
+    """
+
+    force: Annotated[Positive, Unit("m/s²")] = 1.6
+    outside: Annotated[Positive, Unit("m/s²")] = 0.002
+    held: Annotated[Positive, Unit("m")] = 0.0003
+    rounds: CountOrZero = 2
+    passes: Count = 6
+    fitted: Count = 2
+
+
+@dataclass(frozen=True)
 class SessionSettings:
     """How the clips of one cloth are diagnosed together.
 
@@ -62,6 +86,7 @@ class SessionSettings:
         usual: effects that the base model has: what no cloth and no solver is without. One of them is a cause
             where it is stronger than is usual.
         fit: see JointFitSettings.
+        freed: see FreedSettings.
         named: probability from which on an effect is the answer; more where VerdictSettings ask for more.
         fitted: hypotheses that are fitted, those with most evidence in the model linearised around the
             base; the others keep that evidence.
@@ -90,6 +115,7 @@ class SessionSettings:
     error_rounds: CountOrZero = 3
     usual: Usual = ("internal_damping",)
     fit: JointFitSettings = field(default_factory=JointFitSettings)
+    freed: FreedSettings = field(default_factory=FreedSettings)
     named: Fraction = 0.9
     fitted: Count = 3
     refined: Count = 2

@@ -54,6 +54,9 @@ class SessionWeights:
         threshold: evidence at which an effect and none are equally probable [nats].
         temperature: evidence by which the odds of an effect grow e-fold [nats].
         learned: weight of the learned decision's log odds among effects.
+        outside_threshold: evidence, the forces within the cloth free, at which a cause from outside and all
+            that is not from there are equally probable [nats].
+        outside_temperature: evidence by which its odds grow e-fold [nats].
         strange: squared errors that the best hypothesis leaves, over those of USUAL_SHARE, where something
             unknown and none are equally probable.
         strangeness: e-folds of the odds of something unknown for each logarithm beyond that.
@@ -65,6 +68,8 @@ class SessionWeights:
     threshold: float = 17.0
     temperature: float = 4.0
     learned: float = 0.5
+    outside_threshold: float = 15.0
+    outside_temperature: float = 4.0
     strange: float = 4.0
     strangeness: float = 4.0
 
@@ -105,6 +110,8 @@ class MotionEvidence:
         usual: effects that every cloth has, with the distance by which they move this one, see
             effect_size.moved; what is said of them is against a model without.
         sizes: the same of the other effects; of those that are not here nothing is asked.
+        outside: what is said of causes from outside with the forces within the cloth free, see
+            outside_causes; of those that are not here nothing is known.
     """
 
     base: ModelErrors
@@ -112,6 +119,7 @@ class MotionEvidence:
     learned: Mapping[str, float] | None = None
     usual: Mapping[str, float] = field(default_factory=dict)
     sizes: Mapping[str, float] = field(default_factory=dict)
+    outside: Mapping[str, EffectEvidence] = field(default_factory=dict)
 
     def write(self, path: Path) -> None:
         """Keep it, so that weights can be learnt from it once the cause is known."""
@@ -126,19 +134,22 @@ class MotionEvidence:
         """
         try:
             values = read_json_object(path)
-            effects = {
-                name: EffectEvidence(
-                    float(one["drop"]),
-                    tuple(map(float, one["information"])),
-                    tuple(map(float, one["slopes"])),
-                    float(one["fitted_size"]),
-                )
-                for name, one in values["effects"].items()
-            }
+            effects, outside = (
+                {
+                    name: EffectEvidence(
+                        float(one["drop"]),
+                        tuple(map(float, one["information"])),
+                        tuple(map(float, one["slopes"])),
+                        float(one["fitted_size"]),
+                    )
+                    for name, one in of.items()
+                }
+                for of in (values["effects"], values.get("outside", {}))
+            )
             base = ModelErrors(**{name: float(value) for name, value in values["base"].items()})
             learned, usual, sizes = values["learned"], values["usual"], values["sizes"]
             return MotionEvidence(
-                base, effects, None if learned is None else dict(learned), dict(usual), dict(sizes)
+                base, effects, None if learned is None else dict(learned), dict(usual), dict(sizes), outside
             )
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             raise InputError(
@@ -178,11 +189,16 @@ class MotionEvidence:
         None is an interval and no point: an effect of the size that a model on a grid is usually wrong by is
         none, however sure the clips are of it (Berger and Delampady 1987). So what speaks for an effect
         speaks for none as well, less with every e-fold of its size; rivals keep their distance.
+
+        Causes from outside are judged first, where that can be done whatever the law is: what fits of a law
+        say of causes within the cloth says nothing against them, for there the law's own errors count (a cut
+        between modules, Plummer 2015).
         """
+        within = [name for name in self.effects if name not in self.outside]
         odds = {
             name: (self.nats(name) - weights.threshold) / weights.temperature
             + weights.learned * _log_odds(self.learned, name, self.effects)
-            for name in self.effects
+            for name in within
         }
         none = [0.0]
         for name, value in odds.items():
@@ -195,7 +211,14 @@ class MotionEvidence:
                 beyond = _beyond(self.sizes[name], weights.smallest, weights)
                 none.append(value - float(np.logaddexp(0.0, beyond)))
                 odds[name] = value - float(np.logaddexp(0.0, -beyond))
-        return {NONE: float(logsumexp(none)), **odds}
+        odds[NONE] = float(logsumexp(none))
+        not_outside = float(logsumexp(list(odds.values())))
+        for name, evidence in self.outside.items():
+            value = (_nats(evidence, 1.0) - weights.outside_threshold) / weights.outside_temperature
+            if name in self.sizes:
+                value = min(value, _beyond(self.sizes[name], weights.smallest, weights))
+            odds[name] = not_outside + value
+        return odds
 
 
 @dataclass(frozen=True)
@@ -222,7 +245,11 @@ def learnt_weights(cases: Sequence[SessionCase], prior: SessionWeights | None = 
             ``strangeness`` stay: they need sessions whose cause is outside the catalogue.
     """
     begin = SessionWeights() if prior is None else prior
-    names: tuple[str, ...] = ("threshold", "temperature", "learned")
+    names: tuple[str, ...] = ()
+    if any(case.evidence.effects for case in cases):
+        names = (*names, "threshold", "temperature", "learned")
+    if any(case.evidence.outside for case in cases):
+        names = (*names, "outside_threshold", "outside_temperature")
     if any(case.evidence.usual for case in cases):
         names = (*names, "usual_size")
     if any(case.evidence.sizes for case in cases):

@@ -26,6 +26,7 @@ from scipy.special import logsumexp
 from toile.diagnosis.effect_evidence import SIZES
 from toile.diagnosis.effect_sensitivities import Instant, force_sensitivities
 from toile.diagnosis.force_modes import balanced_directions
+from toile.diagnosis.hem import border_strip
 from toile.diagnosis.sensitivities import StepForces
 from toile.effects.base import Effect, Scope, Surroundings
 from toile.effects.catalogue import OUTSIDE
@@ -158,7 +159,9 @@ def _balance(clip: MovingCloth, effects: Sequence[Effect], settings: BalanceSett
     gap = felt(inertia - weight)
     wind = masses[:, None] * clip.horizontal[:, None, None] * np.ones((1, F - 2, 1, 1))
     of_wind = (0.02 if clip.still_air else settings.wind) * felt(wind)
-    nuisance = np.concatenate((of_wind, settings.hem * felt(_hem(around)[:, None] * (gravity - a))[None]))
+    nuisance = np.concatenate(
+        (of_wind, settings.hem * felt(border_strip(around)[:, None] * (gravity - a))[None])
+    )
     # Coefficients are those of no effect: at zero the balance is what is written above.
     at = [_instant(f, clip, v, inertia, dt) for f in range(F - 2)]
     causes = {}
@@ -188,25 +191,6 @@ def _directions(pinned: Array, size: float) -> Array | None:
             now = u @ vt @ now
         found.append(now)
     return np.stack(found)
-
-
-def _hem(around: Surroundings) -> Array:
-    """Mass that a strip of 1 m along all borders has more (N,) [kg]."""
-    cloth = around.cloth
-    assert cloth.grid is not None
-    (H, W), (height, width) = cloth.grid, around.cloth_size
-    density = float(cloth.masses.sum()) / (height * width)
-    mass = np.zeros((H, W))
-    mass[:, [0, -1]] += density * height * _shares(H)[:, None]
-    mass[[0, -1]] += density * width * _shares(W)
-    return mass.reshape(-1)
-
-
-def _shares(n: int) -> Array:
-    """Of a line's length that belong to each of n vertices along it."""
-    share = np.full(n, 1.0 / (n - 1))
-    share[[0, -1]] /= 2
-    return share
 
 
 def _instant(f: int, clip: MovingCloth, v: Array, inertia: Array, dt: float) -> Instant:

@@ -11,9 +11,11 @@ import torch
 
 from toile.diagnosis.base_fit import base_of, base_sensitivities, local_scales, nothing_seen
 from toile.diagnosis.effect_size import moved
+from toile.diagnosis.hem import Hem
 from toile.diagnosis.joint_fit import JointFit, JointFitSettings, JointFitting, SharedLayout, joint_clip
 from toile.diagnosis.left_out import left_out_shrinks
 from toile.diagnosis.model_errors import ModelErrors, model_errors
+from toile.diagnosis.outside_causes import OutsideCauses, judged
 from toile.diagnosis.refits import acting_with
 from toile.diagnosis.session_alias import session_alias
 from toile.diagnosis.session_evidence import base_of_session
@@ -22,7 +24,7 @@ from toile.diagnosis.shooting import Shooting, ShootingSettings, cosine_modes
 from toile.diagnosis.softened import ModelError, softened
 from toile.diagnosis.tracked import Tracked
 from toile.effects.base import Effect, Scope, Surroundings
-from toile.effects.catalogue import CATALOGUE
+from toile.effects.catalogue import CATALOGUE, OUTSIDE
 from toile.effects.setting import setting
 from toile.physics.cloth import grid_cloth, grid_material
 from toile.physics.implicit.integrators import BDF2
@@ -176,10 +178,64 @@ class TestFits:
 
     def test_a_free_force_buys_what_the_effect_explains(self, dragged: Problem) -> None:
         clips = [joint_clip(*clip(WINDS[0], (drag(DRAG),)), FRAMES, forces=True)]
-        loose = JointFitting(clips, 1.5 * STIFFNESS, np.zeros(3), JointFitSettings(force=1.6))
+        loose = JointFitting(clips, 1.5 * STIFFNESS, np.zeros(3), JointFitSettings(force=1.6, outside=1.6))
         start = loose.start_fit()
         bought = loose.fitted((), start).misfit - loose.fitted((drag(0.0),), start).misfit
         assert bought < 0.3 * (dragged.base.misfit - dragged.drag.misfit)
+
+
+class TestCausesFromOutside:
+    """Forces within the cloth are free: the law does not matter, what acts from outside does."""
+
+    def found(self, *acting: Effect) -> tuple[OutsideCauses, float]:
+        """What is found, and what a density that varies gains in a fit under the law [nats]."""
+        candidates = [CATALOGUE[name]() for name in OUTSIDE if name not in ("gusts", "gravity_tilt")]
+        shooting, around = clip(WINDS[0], acting)
+        short = replace(
+            shooting.settings,
+            modes=3,
+            window=1,
+            force_knot=1,
+            boundary=0.0003,
+            jump_position=1e-4,
+            jump_velocity=2e-3,
+        )
+        seen = softened(shooting.tracked, 0.3, FPS, 1.0, ModelError(0.003))
+        problem = Shooting(
+            shooting.simulator, SUBSTEPS, GRAVITY, HORIZONTAL, GRID, shooting.boundary, seen, short
+        )
+        freed = JointFitSettings(force=1.6, outside=0.002, passes=8)
+        free = JointFitting([joint_clip(problem, around, FRAMES, forces=True)], STIFFNESS, np.zeros(3), freed)
+        free.usual = (Hem(),)
+        base = free.fitted(free.usual, free.start_fit())
+        bound = JointFitting([joint_clip(problem, around, FRAMES)], STIFFNESS, np.zeros(3))
+        of_law = bound.fitted((), bound.start_fit())
+        linear = bound.linearised(candidates, of_law, bound.systems(candidates, of_law))
+        return judged(free, base, candidates, 1, 0.3), of_law.misfit - linear["nonuniform_density"].misfit
+
+    @pytest.mark.parametrize(
+        ("name", "values"),
+        [
+            ("air_drag", {"linear": 3 * DRAG}),
+            ("nonuniform_density", {"mode_01": 0.6}),
+        ],
+    )
+    def test_the_cause_leads_although_the_law_is_wrong(self, name: str, values: dict[str, float]) -> None:
+        within = CATALOGUE["anisotropic_stiffness"]({"stretching": 1.0})
+        causes = self.found(CATALOGUE[name](values), within)[0].causes
+        nats = {one: cause.evidence.nats() for one, cause in causes.items()}
+        assert max(nats, key=lambda one: nats[one]) == name
+        assert nats[name] > 4
+        assert causes[name].moves > 0.01
+
+    def test_what_acts_within_leaves_no_trace(self) -> None:
+        curled, uneven = {"axis_0": 12.0}, {"stretching": 1.5, "bending": 1.5}
+        within = CATALOGUE["rest_curvature"](curled), CATALOGUE["anisotropic_stiffness"](uneven)
+        found, of_law = self.found(*within)
+        assert max(cause.evidence.nats() for cause in found.causes.values()) < 3
+        assert found.leading(3.0) is None
+        # Under a law that knows nothing of it, a density that varies passes for it.
+        assert of_law > 10
 
 
 class TestUsualEffects:

@@ -1,0 +1,58 @@
+"""The hem of a cloth: a strip along its borders that weighs more than thought, or less.
+
+Every cloth has some, and where a mesh puts the mass of its outermost half cells differs. It is no cause of a
+gap, but a density that varies would be found in its place.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from toile.effects.base import MassEffect, Parameter, Stage, Surroundings
+
+Array = NDArray[np.float64]
+
+
+class Hem(MassEffect):
+    """Mass of a strip along all borders that lies double, in addition; negative: that is missing."""
+
+    NAME: ClassVar[str] = "hem"
+    STAGE: ClassVar[Stage] = Stage.MECHANICS
+    PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("width", "m", -0.05, 0.05, 0.0003, "of the strip; a hem is 3 mm, ten times the scale"),
+    )
+    SOURCE: ClassVar[str] = "ours: the smallest change of mass that a border without cells of its own allows"
+
+    def masses(self, masses: Tensor, around: Surroundings) -> Tensor:
+        """See MassEffect."""
+        if not self.is_active:
+            return masses
+        return masses + self.values[0] * torch.from_numpy(border_strip(around))
+
+
+def border_strip(around: Surroundings) -> Array:
+    """Mass that a strip of 1 m along all borders has more (N,) [kg].
+
+    Args:
+        around: a clip; its cloth is on a grid.
+    """
+    cloth = around.cloth
+    assert cloth.grid is not None
+    (H, W), (height, width) = cloth.grid, around.cloth_size
+    density = float(cloth.masses.sum()) / (height * width)
+    mass = np.zeros((H, W))
+    mass[:, [0, -1]] += density * height * _shares(H)[:, None]
+    mass[[0, -1]] += density * width * _shares(W)
+    return mass.reshape(-1)
+
+
+def _shares(n: int) -> Array:
+    """Of a line's length that belong to each of n vertices along it."""
+    share = np.full(n, 1.0 / (n - 1))
+    share[[0, -1]] /= 2
+    return share

@@ -1,0 +1,195 @@
+"""Causes from outside, judged with the forces within the cloth left free.
+
+What a law of the cloth is wrong by is a force within the cloth: it leaves the balance of torques about the
+line through the corners alone (force_modes). With a free smooth force that does so as well, and hardly any
+that does not, the law and its errors do not matter, and only inertia, gravity and what acts from outside must
+agree with the images. Drag, gusts, an uneven density and a wrong clock are found that way where a law that
+does not fit, or a corner on a coarse grid, would pass for them; what acts within the cloth leaves no trace.
+
+Unlike the balance of a motion that is taken as known (torque_balance), the motion is fitted beside, so that
+what images do not see, the depth of a sheet that faces the camera, is uncertain here as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toile.diagnosis.effect_evidence import EffectEvidence
+from toile.diagnosis.effect_size import moved
+from toile.diagnosis.fingerprint import fingerprint
+from toile.diagnosis.hem import Hem
+from toile.diagnosis.joint_fit import JointFit, JointFitting
+from toile.diagnosis.pipeline import PipelineStage
+from toile.diagnosis.session_settings import SessionSettings
+from toile.diagnosis.session_stages import RefinedMotion, SeenClip, SessionModel
+from toile.diagnosis.workers import ALONE, Workers
+from toile.effects.base import Effect
+from toile.effects.catalogue import OUTSIDE
+from toile.limits import Unit
+
+Array = NDArray[np.float64]
+
+_WORTH = 5.0
+"""Evidence in the linearised model from which on a cause is fitted [nats]."""
+
+
+@dataclass(frozen=True)
+class OutsideCause:
+    """What speaks for a cause from outside.
+
+    Attributes:
+        evidence: against none of them.
+        coefficients: in prior deviations, see SharedLayout (n,).
+        covariance: of them (n, n).
+        moves: the cloth by so much, see effect_size.moved [widths].
+    """
+
+    evidence: EffectEvidence
+    coefficients: Array
+    covariance: Array
+    moves: float
+
+
+@dataclass(frozen=True)
+class OutsideCauses:
+    """What speaks for causes from outside.
+
+    Attributes:
+        causes: by name; empty where every torque is held.
+        hem: width of the strip along the borders that was found, negative where mass is missing [m].
+        passes: of the fit without any of them.
+        converged: whether its last pass gained little.
+    """
+
+    causes: dict[str, OutsideCause]
+    hem: Annotated[float, Unit("m")] = 0.0
+    passes: int = 0
+    converged: bool = True
+
+    def leading(self, least: float) -> str | None:
+        """The cause with most evidence; None where that is less than so many nats."""
+        nats = {name: cause.evidence.nats() for name, cause in self.causes.items()}
+        best = max(nats, key=lambda name: nats[name], default=None)
+        return best if best is not None and nats[best] >= least else None
+
+
+def outside_causes(
+    clips: Sequence[SeenClip],
+    motion: RefinedMotion,
+    settings: SessionSettings,
+    stiffness: tuple[float, float, float],
+    effects: Sequence[Effect],
+    workers: Workers = ALONE,
+) -> OutsideCauses:
+    """Evidence of every cause from outside, the forces within the cloth free.
+
+    Args:
+        clips: tracked.
+        motion: where the image term is linearised and windows start.
+        settings: see SessionSettings, ``freed`` among them.
+        stiffness: where fits begin.
+        effects: candidates; those that act within the cloth are left out.
+        workers: share the windows of a clip.
+    """
+    outside = [effect for effect in effects if effect.NAME in OUTSIDE]
+    freed = settings.freed
+    of_fits = replace(settings.fit, force=freed.force, outside=freed.outside, passes=freed.passes)
+    held = min(freed.held, settings.held)
+    settings = replace(settings, fit=of_fits, held=held)
+    for rounds_left in range(freed.rounds, -1, -1):
+        model = SessionModel(clips, motion, settings, stiffness)
+        fitting = model.fitting
+        if not outside or any(clip.shooting.n_external == 0 for clip in fitting.clips):
+            return OutsideCauses({})
+        fitting.usual = (Hem(),)
+        base = fitting.fitted(fitting.usual, fitting.start_fit(workers), workers)
+        if rounds_left:
+            # The quadratic of the images is that around another motion, with corners elsewhere.
+            motion = replace(motion, positions=model.refined(base).positions)
+    return judged(fitting, base, outside, freed.fitted, model.width, workers)
+
+
+def judged(
+    fitting: JointFitting,
+    base: JointFit,
+    outside: Sequence[Effect],
+    fitted: int,
+    width: float,
+    workers: Workers = ALONE,
+) -> OutsideCauses:
+    """Evidence of causes around a fit without any, the first of whose usual effects is the hem.
+
+    Args:
+        fitting: whose windows have forces of their own.
+        base: its fit without any cause.
+        outside: candidates.
+        fitted: causes that are fitted, those with most evidence in the linearised model.
+        width: of the cloth [m].
+        workers: share the windows of a clip.
+    """
+    candidates = [*outside, *fitting.usual]
+    found = fitting.linearised(candidates, base, fitting.systems(candidates, base, workers))
+    evidence = {name: _evidence(base, fit) for name, fit in found.items()}
+    best = sorted(outside, key=lambda effect: -evidence[effect.NAME].nats())
+    for effect in best[:fitted]:
+        if evidence[effect.NAME].nats() > _WORTH:
+            fit = fitting.fitted(fitting.hypothesis(effect, base), base, workers)
+            found[effect.NAME], evidence[effect.NAME] = fit, _evidence(base, fit)
+    return OutsideCauses(
+        {
+            name: OutsideCause(
+                evidence[name],
+                fit.own,
+                fit.own_covariance,
+                moved(fitting.clips, fitting.start, fit, width),
+            )
+            for name, fit in found.items()
+        },
+        float(base.effects[0][0].values[0]),
+        len(base.history) - 1,
+        base.converged,
+    )
+
+
+def _evidence(base: JointFit, fit: JointFit) -> EffectEvidence:
+    return EffectEvidence.of(base.misfit - fit.misfit, fit.own, fit.own_covariance, fit.size)
+
+
+def outside_stage(
+    clips: Sequence[SeenClip],
+    settings: SessionSettings,
+    stiffness: tuple[float, float, float],
+    effects: Sequence[Effect],
+    share: float,
+    made_from: Mapping[str, str],
+    workers: Workers,
+) -> PipelineStage[RefinedMotion, OutsideCauses]:
+    """See outside_causes; made from the refined motion.
+
+    Args:
+        clips: tracked.
+        settings: see SessionSettings.
+        stiffness: where fits begin.
+        effects: candidates.
+        share: of all work that is done when it begins.
+        made_from: fingerprints of what it depends on.
+        workers: share the windows of a clip.
+    """
+
+    def compute(motion: RefinedMotion) -> OutsideCauses:
+        return outside_causes(clips, motion, settings, stiffness, effects, workers)
+
+    return PipelineStage(
+        "causes from outside",
+        "fits/outside.npz",
+        "causes from outside, forces within the cloth free",
+        share,
+        OutsideCauses,
+        compute,
+        {**made_from, "effects": fingerprint(tuple(effects))},
+    )
