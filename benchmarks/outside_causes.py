@@ -2,8 +2,8 @@
 
 First clips of sessions with open labels, from their images: tracked, refined, judged (see
 diagnosis/outside_causes.py). From what is found two numbers are learnt: the evidence at which a cause from
-outside and all others are equally probable, and that by which its odds grow e-fold; every session is answered by
-weights of the other sessions. What is found is kept in outputs/outside_causes: it goes on where it was.
+outside and all others are equally probable, and that by which its odds grow e-fold; every session is answered
+by weights of the other sessions. What is found is kept in outputs/outside_causes: it goes on where it was.
 
     python benchmarks/outside_causes.py [--sessions air_drag:3:1 none:0:2 ...] [--known] [--ship]
 """

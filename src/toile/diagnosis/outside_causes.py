@@ -34,9 +34,6 @@ from toile.limits import Unit
 
 Array = NDArray[np.float64]
 
-_WORTH = 5.0
-"""Evidence in the linearised model from which on a cause is fitted [nats]."""
-
 
 @dataclass(frozen=True)
 class OutsideCause:
@@ -111,39 +108,34 @@ def outside_causes(
         if rounds_left:
             # The quadratic of the images is that around another motion, with corners elsewhere.
             motion = replace(motion, positions=model.refined(base).positions)
-    return judged(fitting, base, outside, freed.fitted, model.width, workers)
+    return judged(fitting, base, outside, model.width, workers)
 
 
 def judged(
     fitting: JointFitting,
     base: JointFit,
     outside: Sequence[Effect],
-    fitted: int,
     width: float,
     workers: Workers = ALONE,
 ) -> OutsideCauses:
     """Evidence of causes around a fit without any, the first of whose usual effects is the hem.
 
+    In the linearised model, that is: fits of single causes halt where a fold is about to snap, at different
+    shares of what they could gain, and that would decide between them.
+
     Args:
         fitting: whose windows have forces of their own.
         base: its fit without any cause.
         outside: candidates.
-        fitted: causes that are fitted, those with most evidence in the linearised model.
         width: of the cloth [m].
         workers: share the windows of a clip.
     """
     candidates = [*outside, *fitting.usual]
     found = fitting.linearised(candidates, base, fitting.systems(candidates, base, workers))
-    evidence = {name: _evidence(base, fit) for name, fit in found.items()}
-    best = sorted(outside, key=lambda effect: -evidence[effect.NAME].nats())
-    for effect in best[:fitted]:
-        if evidence[effect.NAME].nats() > _WORTH:
-            fit = fitting.fitted(fitting.hypothesis(effect, base), base, workers)
-            found[effect.NAME], evidence[effect.NAME] = fit, _evidence(base, fit)
     return OutsideCauses(
         {
             name: OutsideCause(
-                evidence[name],
+                EffectEvidence.of(base.misfit - fit.misfit, fit.own, fit.own_covariance, fit.size),
                 fit.own,
                 fit.own_covariance,
                 moved(fitting.clips, fitting.start, fit, width),
@@ -154,10 +146,6 @@ def judged(
         len(base.history) - 1,
         base.converged,
     )
-
-
-def _evidence(base: JointFit, fit: JointFit) -> EffectEvidence:
-    return EffectEvidence.of(base.misfit - fit.misfit, fit.own, fit.own_covariance, fit.size)
 
 
 def outside_stage(

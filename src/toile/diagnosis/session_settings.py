@@ -50,7 +50,6 @@ class FreedSettings:
             coarse grid are wrong by is a force within the cloth here.
         rounds: fits after which the image term is linearised anew around what they find.
         passes: of a fit, at most.
-        fitted: causes that are fitted, those with most evidence in the linearised model.
     """
 
     force: Annotated[Positive, Unit("m/s²")] = 1.6
@@ -58,7 +57,6 @@ class FreedSettings:
     held: Annotated[Positive, Unit("m")] = 0.0003
     rounds: CountOrZero = 2
     passes: Count = 6
-    fitted: Count = 2
 
 
 @dataclass(frozen=True)
