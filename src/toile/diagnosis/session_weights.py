@@ -215,9 +215,9 @@ class MotionEvidence:
         not_outside = float(logsumexp(list(odds.values())))
         for name, evidence in self.outside.items():
             value = (_nats(evidence, 1.0) - weights.outside_threshold) / weights.outside_temperature
-            if name in self.sizes:
-                value = min(value, _beyond(self.sizes[name], weights.smallest, weights))
-            odds[name] = not_outside + value
+            beyond = _beyond(self.sizes[name], weights.smallest, weights) if name in self.sizes else np.inf
+            odds[NONE] = float(np.logaddexp(odds[NONE], not_outside + value - np.logaddexp(0.0, beyond)))
+            odds[name] = float(not_outside + value - np.logaddexp(0.0, -beyond))
         return odds
 
 
