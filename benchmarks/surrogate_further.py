@@ -23,7 +23,17 @@ import pandas as pd
 import torch
 from surrogate import tables
 from surrogate.accuracy import MOTION
-from surrogate.further import AFTER, BEFORE, Extent, at_rest, choice, directions, held_out, score
+from surrogate.further import (
+    AFTER,
+    BEFORE,
+    Extent,
+    at_rest,
+    choice,
+    directions,
+    held_out,
+    motions_to_rest,
+    score,
+)
 from surrogate.gradients import GROUPS
 from surrogate.records import Records, fingerprint
 from surrogate.stability import REST, StabilitySettings
@@ -45,7 +55,9 @@ QUICK = Extent(
 )
 
 
-def measured(records: Records, folder: Path, extent: Extent, cache: Path) -> str:
+def measured(
+    records: Records, folder: Path, extent: Extent, cache: Path, *, without_rest: bool = False
+) -> str:
     """Measure what is missing, and make the page of it."""
     before = packaged_weights()
     candidates = {BEFORE: before} | {path.stem: path for path in sorted((folder / "epochs").glob("*.pt"))}
@@ -61,7 +73,8 @@ def measured(records: Records, folder: Path, extent: Extent, cache: Path) -> str
     about |= {"after": prints[best]}
     records.measure("further_held_out", about, lambda: held_out(both, extent, cache))
     records.measure("further_directions", about, lambda: directions(both, extent))
-    records.measure("further_rest", about, lambda: at_rest(both, extent))
+    if not without_rest:
+        records.measure("further_stability", about, lambda: motions_to_rest(both[AFTER], extent))
     first = records.read("further_choice")
     assert first is not None
     made = f"`make surrogate-further` on {first.about['machine']}, {first.about['threads']} thread"
@@ -70,8 +83,6 @@ def measured(records: Records, folder: Path, extent: Extent, cache: Path) -> str
 
 def page(records: Records, scores: pd.Series, best: str, extent: Extent, made: str, after: Path) -> str:
     """The Markdown page."""
-    rest = _record(records, "further_rest")
-    moving = rest[~rest.rest]
     described = "; ".join(f"{key} {value}" for key, value in describe_weights(after).items())
     verdict = "lower" if scores[best] < scores[BEFORE] else "not lower"
     return f"""# A further training of the surrogate
@@ -95,12 +106,10 @@ cloths ({_counts(extent.held_out)}), and on how many of them it is smaller after
 
 ## At rest
 
-{len(rest) // 2} materials of the box as in the model card, one pass a step, {extent.stability.steps:,} steps;
-at rest is below {REST:g} edges a step at the end.
+The materials of the model card on stability, one pass a step; at rest is below {REST:g} edges a step
+at the end.
 
-{tables.frame(_rest_table(rest))}
-
-Not at rest: {_names(moving)}.
+{_rest(records, extent, fingerprint(after))}
 
 ## Directions of gradients over {extent.gradient_steps} steps
 
@@ -149,26 +158,30 @@ def _held_out_table(errors: pd.DataFrame, extent: Extent) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def _rest_table(rest: pd.DataFrame) -> pd.DataFrame:
-    parts = rest.groupby("contender", sort=False)
-    return pd.DataFrame(
-        [
+def _rest(records: Records, extent: Extent, after: str) -> str:
+    """How many materials come to rest; what was before is read from the card's own table."""
+    found = {BEFORE: records.read("stability_1"), AFTER: records.read("further_stability")}
+    wanted = {BEFORE: ("sha256", fingerprint(packaged_weights())), AFTER: ("after", after)}
+    rows, moving = [], []
+    for name, record in found.items():
+        key, value = wanted[name]
+        if record is None or record.about["settings"].get(key) != value:
+            rows.append({"": name, "steps": "not measured", "at rest": "–", "largest speed": "–"})
+            continue
+        rest = at_rest(record.table)
+        rows.append(
             {
                 "": name,
-                "at rest": f"{int(part.rest.sum())} of {len(part)}",
-                "largest speed": tables.number(part.speed.max()),
+                "steps": f"{int(record.table.step.max()):,}",
+                "at rest": f"{int(rest.rest.sum())} of {len(rest)}",
+                "largest speed": tables.number(rest.speed.max()),
             }
-            for name, part in parts
+        )
+        moving += [
+            f"{name}, Y {row.Y:g}, S {row.S:.2g}, B {row.B:g} ({tables.number(row.speed)})"
+            for row in rest[~rest.rest].itertuples()
         ]
-    )
-
-
-def _names(moving: pd.DataFrame) -> str:
-    parts = [
-        f"{row.contender}, Y {row.Y:g}, S {row.S:.2g}, B {row.B:g} ({tables.number(row.speed)})"
-        for row in moving.itertuples()
-    ]
-    return "; ".join(parts) or "none"
+    return f"{tables.frame(pd.DataFrame(rows))}\n\nNot at rest: {'; '.join(moving) or 'none'}."
 
 
 def _direction_table(found: pd.DataFrame) -> pd.DataFrame:
@@ -189,6 +202,7 @@ def main() -> None:
     )
     parser.add_argument("folder", type=Path, help="of the training")
     parser.add_argument("--quick", action="store_true", help="tiny, to see whether everything works")
+    parser.add_argument("--without-rest", action="store_true", help="leave out the long motions (minutes)")
     options = parser.parse_args()
     if not list((options.folder / "epochs").glob("*.pt")):
         sys.exit(f"error: no weights: {options.folder / 'epochs'}: expected those of a training, got none")
@@ -197,7 +211,9 @@ def main() -> None:
     docs = outputs if options.quick else ROOT / "docs"
     records = Records(docs / "results" / "surrogate")
     try:
-        text = measured(records, options.folder, QUICK if options.quick else Extent(), outputs / "solver")
+        extent = QUICK if options.quick else Extent()
+        cache = outputs / "solver"
+        text = measured(records, options.folder, extent, cache, without_rest=options.without_rest)
     except InputError as error:
         sys.exit(f"error: {error}")
     print(f"written: {write_text(docs / 'results' / 'surrogate_further.md', text)}")

@@ -46,10 +46,10 @@ class Extent:
 
     grid: tuple[int, int] = (32, 32)
     steps: int = 50
-    validation: tuple[tuple[str, int], ...] = (("fits", 4), ("box", 8))
+    validation: tuple[tuple[str, int], ...] = (("fits", 4), ("box", 6))
     held_out: tuple[tuple[str, int], ...] = (("fits", 8), ("box", 14))
     passes: tuple[int, ...] = (2, 4)
-    stability: StabilitySettings = field(default_factory=lambda: StabilitySettings(steps=2_000))
+    stability: StabilitySettings = field(default_factory=StabilitySettings)
     gradient_seeds: int = 3
     gradient_steps: int = 12
 
@@ -95,12 +95,15 @@ def held_out(weights: dict[str, Path], extent: Extent, cache: Path) -> pd.DataFr
     return _errors(builds, cases, cache)
 
 
-def at_rest(weights: dict[str, Path], extent: Extent) -> pd.DataFrame:
-    """Speed of every material of the box at the end of a long motion, one pass a step."""
-    table = stability({name: with_weights(path, 1) for name, path in weights.items()}, extent.stability)
-    steps = extent.stability.steps
-    last = table[table.step > steps - WINDOW]
-    speeds = last.groupby(["contender", "Y", "S", "B"], sort=False).speed.max().reset_index()
+def motions_to_rest(weights: Path, extent: Extent) -> pd.DataFrame:
+    """Long motions of every material of the box, one pass a step; see ``stability``."""
+    return stability({AFTER: with_weights(weights, 1)}, extent.stability)
+
+
+def at_rest(table: pd.DataFrame) -> pd.DataFrame:
+    """Speed of every material at the end of its motion, and whether that is rest."""
+    last = table[table.step > table.step.max() - WINDOW]
+    speeds = last.groupby(["Y", "S", "B"], sort=False).speed.max().reset_index()
     return speeds.assign(rest=speeds.speed < REST)
 
 

@@ -53,7 +53,7 @@ def directions(surrogate: Surrogate) -> list[Tensor]:
 def moved(surrogate: Surrogate, by: list[Tensor], step: float) -> None:
     with torch.no_grad():
         for p, d in zip(surrogate.parameters(), by, strict=True):
-            p += step * d
+            p.add_(step * d)
 
 
 def test_the_gradient_goes_through_the_sweeps(make_pool: MakePool, network: Surrogate) -> None:
