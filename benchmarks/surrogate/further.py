@@ -48,7 +48,7 @@ class Extent:
     steps: int = 50
     validation: tuple[tuple[str, int], ...] = (("fits", 4), ("box", 6))
     held_out: tuple[tuple[str, int], ...] = (("fits", 8), ("box", 14))
-    passes: tuple[int, ...] = (2, 4)
+    passes: tuple[int, ...] = (2,)
     stability: StabilitySettings = field(default_factory=StabilitySettings)
     gradient_seeds: int = 3
     gradient_steps: int = 12
