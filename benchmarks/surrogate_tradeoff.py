@@ -23,6 +23,7 @@ import matplotlib as mpl
 import pandas as pd
 import torch
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 from surrogate import tables
 from surrogate.contenders import SOLVER
 from surrogate.figures import save
@@ -76,8 +77,9 @@ def measured(records: Records, weights: Path, settings: TradeoffSettings) -> tup
     table = first.table.merge(second.table, on=["size", "family", "knob"], how="left")
     made = (
         f"`make surrogate-tradeoff` on {first.about['machine']}, {first.about['threads']} thread, torch "
-        f"{first.about['torch']}: {first.about['seconds']:.0f} + {second.about['seconds']:.0f} s from "
-        f"{first.about['date']}, load {first.about['load before']} before; {weights.name}, sha256 "
+        f"{first.about['torch']}: times in {first.about['seconds']:.0f} s from {first.about['date']}, load "
+        f"{first.about['load before']} before, then errors in {second.about['seconds']:.0f} s from "
+        f"{second.about['date']}; {weights.name}, sha256 "
         f"{about['sha256']}…"
     )
     return table, made
@@ -157,6 +159,9 @@ def curves(table: pd.DataFrame) -> Figure:
                     float(part[part.family == SOLVER][TIME].iloc[0]), color=INK, linewidth=0.8, label=SOLVER
                 )
                 axis.set(xscale="log", yscale="log", title=f"{size}×{size}, batch of {batch}")
+                axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+                axis.xaxis.set_major_formatter("{x:g}")
+                axis.xaxis.set_minor_formatter(NullFormatter())
                 axis.set_xlabel(TIME)
             axes[i][0].set_ylabel(ERRORS[2])
         handles, labels = axes[0][0].get_legend_handles_labels()
