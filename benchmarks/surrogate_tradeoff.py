@@ -1,4 +1,4 @@
-"""Where the neural surrogate is worth it: error over time beside Newton's method, in one run on one thread.
+"""Where the neural surrogate is worth it: error over time beside Newton's method, on one thread.
 
     python benchmarks/surrogate_tradeoff.py                          # docs/results/surrogate_tradeoff.md
     python benchmarks/surrogate_tradeoff.py --quick                  # a minute, tiny, into outputs/
