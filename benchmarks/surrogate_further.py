@@ -21,6 +21,7 @@ import toile.cli  # noqa: F401
 # isort: split
 import pandas as pd
 import torch
+import yaml
 from surrogate import tables
 from surrogate.accuracy import MOTION
 from surrogate.further import (
@@ -77,18 +78,23 @@ def measured(
         records.measure("further_stability", about, lambda: motions_to_rest(both[AFTER], extent))
     first = records.read("further_choice")
     assert first is not None
+    planned = int(yaml.safe_load((folder / "config.yaml").read_text(encoding="utf-8"))["training"]["epochs"])
+    run = f"which had made {len(candidates) - 1} of its {planned} epochs"
     made = f"`make surrogate-further` on {first.about['machine']}, {first.about['threads']} thread"
-    return page(records, scores, best, extent, made, candidates[best])
+    return page(records, scores, best, extent, made, candidates[best], run)
 
 
-def page(records: Records, scores: pd.Series, best: str, extent: Extent, made: str, after: Path) -> str:
+def page(
+    records: Records, scores: pd.Series, best: str, extent: Extent, made: str, after: Path, run: str
+) -> str:
     """The Markdown page."""
     described = "; ".join(f"{key} {value}" for key, value in describe_weights(after).items())
     verdict = "lower" if scores[best] < scores[BEFORE] else "not lower"
     return f"""# A further training of the surrogate
 
 {made}. Weights *before* are the package's, sha256 {fingerprint(packaged_weights())}…; *after* is {best}
-({described}), sha256 {fingerprint(after)}…, of `toile train training=further weights=packaged`.
+({described}), sha256 {fingerprint(after)}…, of `toile train training=further weights=packaged`,
+{run}.
 
 ## The choice
 
