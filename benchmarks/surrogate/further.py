@@ -95,9 +95,19 @@ def held_out(weights: dict[str, Path], extent: Extent, cache: Path) -> pd.DataFr
     return _errors(builds, cases, cache)
 
 
-def motions_to_rest(weights: Path, extent: Extent) -> pd.DataFrame:
-    """Long motions of every material of the box, one pass a step; see ``stability``."""
-    return stability({AFTER: with_weights(weights, 1)}, extent.stability)
+def motions_to_rest(weights: Path, extent: Extent, before: pd.DataFrame | None) -> pd.DataFrame:
+    """Long motions, one pass a step, of the materials that did not come to rest before; see ``stability``.
+
+    Args:
+        weights: after the training.
+        extent: how long.
+        before: motions of all materials with the weights before; None to move all.
+    """
+    trembling = None
+    if before is not None:
+        speeds = at_rest(before)
+        trembling = [tuple(row) for row in speeds.loc[~speeds.rest, ["Y", "S", "B"]].to_numpy().tolist()]
+    return stability({AFTER: with_weights(weights, 1)}, extent.stability, trembling)
 
 
 def at_rest(table: pd.DataFrame) -> pd.DataFrame:
