@@ -80,6 +80,15 @@ train-surrogate: setup ## Train the neural surrogate on the CPU and put its weig
 surrogate-card: setup ## Measure the neural surrogate: docs/surrogate.md
 	$(BIN)/python benchmarks/surrogate_card.py
 
+.PHONY: surrogate-tradeoff
+surrogate-tradeoff: setup ## Error over time of the surrogate beside Newton's method (ten minutes): docs/results/surrogate_tradeoff.md
+	$(BIN)/python benchmarks/surrogate_tradeoff.py
+
+.PHONY: surrogate-further
+surrogate-further: setup ## Train the packaged surrogate further, and measure before and after (an hour): docs/results/surrogate_further.md; resumes
+	test -f outputs/surrogate_further/surrogate.pt || $(BIN)/toile train training=further weights=packaged threads=1 hydra.run.dir=outputs/surrogate_further
+	$(BIN)/python benchmarks/surrogate_further.py outputs/surrogate_further
+
 .PHONY: simulators
 simulators: setup ## Fit R1 and a generated scene with solver, hybrid and surrogate
 	$(BIN)/python benchmarks/simulators.py

@@ -179,7 +179,9 @@ class Measurements:
 def write_card(docs: Path, records: Records, weights: Path, passes: list[int], extent: Extent) -> None:
     """Fill the template with whatever is measured."""
     own = fingerprint(weights)
-    measured = {path.stem: records.read(path.stem) for path in sorted(records.folder.glob("*.csv"))}
+    names = sorted(path.stem for path in records.folder.glob("*.csv"))
+    # Other pages keep their tables there too.
+    measured = {name: records.read(name) for name in names if name.partition("_")[0] in PARTS}
     # What was measured of other weights does not belong here.
     known = {
         name: record

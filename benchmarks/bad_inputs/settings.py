@@ -99,6 +99,24 @@ CASES = [
     ),
     Case(
         GROUP,
+        "training: weights to start from are not there",
+        (*TRAIN, "weights=nowhere.pt", "hydra.run.dir=new"),
+        says=("nowhere.pt",),
+    ),
+    Case(
+        GROUP,
+        "training: weights to start from of another network",
+        (*TRAIN, "weights=packaged", "hydra.run.dir=new"),
+        says=("widths",),
+    ),
+    Case(
+        GROUP,
+        "training: more than all cloths calm",
+        (*TRAIN, "training.pool.calm_share=2", "hydra.run.dir=new"),
+        says=("calm_share",),
+    ),
+    Case(
+        GROUP,
         "generate: one frame less than one",
         (*GENERATE, "settings.n_frames=0", "folder=made"),
         says=("n_frames",),

@@ -80,7 +80,7 @@ class Records:
 def command() -> str:
     """The command line; of a path its last name only, which is the same on every machine."""
     arguments = [Path(a).name if Path(a).is_absolute() else a for a in sys.argv[1:]]
-    return " ".join(["python", "benchmarks/surrogate_card.py", *arguments])
+    return " ".join(["python", f"benchmarks/{Path(sys.argv[0]).name}", *arguments])
 
 
 def fingerprint(path: Path) -> str:

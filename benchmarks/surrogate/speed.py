@@ -33,7 +33,7 @@ def speed(contenders: dict[str, Build], size: int, grid: tuple[int, int], repeat
     cases = [fits_case(_FIRST_SEED + b, grid, WARM_UP + STEPS, _FIRST_SEED) for b in range(size)]
     first = cases[0]
     exact = solver(first.cloth, first.time_step, first.integrator)
-    batch = _Batch(cases)
+    batch = Batch(cases)
     state = batch.start(exact.n_past)
     for t in range(WARM_UP):
         state = batch.step(exact, state, t)
@@ -69,7 +69,7 @@ def speed(contenders: dict[str, Build], size: int, grid: tuple[int, int], repeat
     return pd.DataFrame(rows)
 
 
-class _Batch:
+class Batch:
     """Several cases of one cloth."""
 
     def __init__(self, cases: list[Case]) -> None:
@@ -90,6 +90,6 @@ class _Batch:
         ).state
 
 
-def _run(simulator: LinearizableSimulator, batch: _Batch, state: State, keep: bool) -> None:
+def _run(simulator: LinearizableSimulator, batch: Batch, state: State, keep: bool) -> None:
     for t in range(WARM_UP, WARM_UP + STEPS):
         state = batch.step(simulator, state, t, keep)

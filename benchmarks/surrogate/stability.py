@@ -5,7 +5,8 @@ from __future__ import annotations
 import itertools
 import math
 import time
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -75,14 +76,28 @@ class _Sheet:
 
 
 @torch.no_grad()
-def stability(contenders: dict[str, Build], settings: StabilitySettings) -> pd.DataFrame:
+def stability(
+    contenders: dict[str, Build], settings: StabilitySettings, only: Sequence[tuple[float, ...]] | None = None
+) -> pd.DataFrame:
     """Energy and speed over time, one row per contender, material and measurement.
 
     Energy is kinetic, internal and that of gravity, above its value at the start and in units of the cloth's
     weight times its side; "largest energy" is over all steps since the row before, and so is the speed of
     the fastest vertex, in edge lengths per step.
+
+    Args:
+        contenders: by name.
+        settings: see there.
+        only: Y, S, B of the materials, of all those of the settings; None for all.
     """
     sheet = _sheet(settings)
+    if only is not None:
+        # Numbers from a table have lost digits.
+        chosen = [
+            k for k, own in enumerate(sheet.numbers) if any(np.allclose(own, o, rtol=1e-3) for o in only)
+        ]
+        kept = [sheet.numbers[k] for k in chosen]
+        sheet = replace(sheet, numbers=kept, stiffness=sheet.stiffness[chosen])
     tables = []
     for name, build in contenders.items():
         simulator = build(sheet.cloth, sheet.time_step, BackwardEuler())

@@ -111,6 +111,8 @@ def test_nothing_to_resume(toile: Toile) -> None:
         ("training.pool.materials.shearing=[0,1]", "materials.shearing"),
         ("training.pool.pinned_corners.shares=[1,1,0,0]", "pinned_corners"),
         ("training.pool.grid=[2,7]", "3×3"),
+        ("weights=nowhere.pt", "nowhere.pt"),
+        ("weights=packaged", "training.widths"),
     ],
 )
 def test_unusable_settings(toile: Toile, setting: str, named: str) -> None:

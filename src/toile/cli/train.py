@@ -22,6 +22,7 @@ from toile.cli.machine import machine
 from toile.cli.resume import last_checkpoint
 from toile.cli.terminal import print_path
 from toile.cli.trainer import make_trainer
+from toile.errors import InputError
 from toile.learning.quiet import quiet_lightning
 from toile.learning.surrogate.average import AverageSurrogate
 from toile.learning.surrogate.batches import PoolBatches
@@ -30,7 +31,7 @@ from toile.learning.surrogate.module import STATE, SurrogateTraining
 from toile.learning.surrogate.pictures import residual_curve
 from toile.learning.surrogate.settings import TrainingSettings
 from toile.physics.surrogate.surrogate import Surrogate
-from toile.physics.surrogate.weights import save_weights
+from toile.physics.surrogate.weights import load_weights, packaged_weights, save_weights
 from toile.reports.figures import save_figure
 from toile.reports.run_folder import (
     RunFolder,
@@ -46,6 +47,8 @@ log = logging.getLogger(__name__)
 
 WEIGHTS = "surrogate.pt"
 """Averaged weights in the run folder."""
+PACKAGED = "packaged"
+"""Setting ``weights``: those of the package."""
 
 
 @alone
@@ -58,7 +61,7 @@ def run(cfg: DictConfig) -> None:
     settings: TrainingSettings = instantiate(cfg.training)
     torch.set_num_threads(cfg.threads or os.cpu_count() or 1)
     torch.manual_seed(cfg.seed)
-    module = SurrogateTraining(Surrogate(settings.widths), settings)
+    module = SurrogateTraining(_start(cfg.weights, settings), settings)
     stop, average = StopBetweenSteps(cfg.max_minutes), AverageSurrogate(settings.average_decay)
     trainer = build_trainer(cfg, stop, average)
     if trainer.is_global_zero:
@@ -85,6 +88,25 @@ def run(cfg: DictConfig) -> None:
     print_path(folder.path / WEIGHTS)
 
 
+def _start(weights: str | None, settings: TrainingSettings) -> Surrogate:
+    """The network before the first step.
+
+    Raises:
+        InputError: the weights cannot be read, or are of a network of other widths.
+    """
+    if weights is None:
+        return Surrogate(settings.widths)
+    surrogate = load_weights(packaged_weights() if weights == PACKAGED else Path(weights))
+    if surrogate.network.widths != tuple(settings.widths):
+        raise InputError(
+            "the weights to start from are of another network",
+            where="weights",
+            expected=f"widths {list(settings.widths)} (training.widths)",
+            got=str(list(surrogate.network.widths)),
+        )
+    return surrogate.train().requires_grad_(True)
+
+
 def build_trainer(cfg: DictConfig, *own: Callback) -> Trainer:
     """The trainer with the command's own callbacks, which come first, and the configured ones."""
     callbacks = [*own, *(c for c in instantiate(cfg.callbacks).values() if c is not None)]
@@ -95,8 +117,9 @@ def build_trainer(cfg: DictConfig, *own: Callback) -> Trainer:
 def write_results(folder: RunFolder, cfg: DictConfig, module: SurrogateTraining, average: Surrogate) -> None:
     """Write the averaged weights, the history, and what the last validation has shown."""
     last = module.history[-1] if module.history else {}
+    start = f" weights={cfg.weights}" if cfg.weights else ""
     description = {
-        "command": f"toile train training={cfg.training_name}",
+        "command": f"toile train training={cfg.training_name}{start}",
         "machine": "{processor}, {processors} cores, {threads} threads".format(**machine()),
         "grid": "x".join(map(str, module.settings.pool.grid)),
         "steps": f"{module.steps_done} of {module.settings.n_steps}",

@@ -42,7 +42,8 @@ class PoolBatches(LightningDataModule):
         seed = self.seed + 1_000_003 * trainer.global_rank
         generator = torch.Generator(trainer.strategy.root_device).manual_seed(seed)
         size = _share(self.settings.pool.size, trainer.world_size)
-        self.pool = Pool(replace(self.settings.pool, size=size), generator)
+        share = self.settings.stiffness_share_at(0)
+        self.pool = Pool(replace(self.settings.pool, size=size), generator, share)
 
     def train_dataloader(self) -> Draws:
         """One epoch of steps."""

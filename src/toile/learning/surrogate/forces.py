@@ -29,6 +29,13 @@ class Accelerations(NamedTuple):
     turbulence: Tensor
     turbulence_strength: Tensor
 
+    def without_turbulence(self, kept: Tensor) -> Accelerations:
+        """The same, turbulence only where kept (n,) is 1 and not 0."""
+        return self._replace(
+            turbulence=self.turbulence * kept[:, None, None, None],
+            turbulence_strength=self.turbulence_strength * kept,
+        )
+
 
 @dataclass(frozen=True)
 class ForceSampler:

@@ -15,11 +15,12 @@ from torch.optim.lr_scheduler import LambdaLR
 from toile.errors import InputError
 from toile.learning.surrogate.batches import PoolBatches
 from toile.learning.surrogate.energies import energies_by_term
+from toile.learning.surrogate.objectives import Progress, Turn
 from toile.learning.surrogate.pool import Pool
 from toile.learning.surrogate.resets import Resets, mean_length, relative_residual
 from toile.learning.surrogate.settings import TrainingSettings
 from toile.learning.surrogate.validation import validation_rollout
-from toile.physics.surrogate.surrogate import Pass, Surrogate
+from toile.physics.surrogate.surrogate import Surrogate
 
 STATE = "toile_training"
 """Key in Lightning's checkpoint."""
@@ -110,19 +111,17 @@ class SurrogateTraining(LightningModule):
             A number whose gradient is that of the rescaled Eq. 4; its value means nothing.
         """
         self._started = time.perf_counter()
-        settings, problem = self.settings, self.pool.problem(batch)
+        settings, pool = self.settings, self.pool
         schedule: Any = self.lr_schedulers()
         self.measures = {"learning rate": schedule.get_last_lr()[0]}
-        losses, last = [], None
-        for number, last in enumerate(self.surrogate.passes(problem, settings.n_passes), 1):
-            losses.append((last.gradient * last.correction).sum() / (len(batch) * settings.n_passes))
-            self.measures |= _pass_measures(number, last, problem.forces)
-        assert last is not None
-        self.pool.advance(batch, last.positions)
-        resets = self._reset(batch, last, problem.forces)
+        progress = Progress(self.steps_done, settings.n_steps)
+        pool.share = settings.stiffness_share_at(progress.step)
+        turn = settings.objective.turn(self.surrogate, pool, batch, settings.n_passes, progress)
+        self.measures |= turn.measures
+        resets = self._reset(batch, turn)
         self.measures |= {"gradient norm": 0.0, "skipped steps": 0.0}  # as the backward pass will tell
         self.measures |= {f"resets/{why}": float(which.sum()) for why, which in resets._asdict().items()}
-        return torch.stack(losses).sum()
+        return turn.loss
 
     def configure_gradient_clipping(
         self,
@@ -218,19 +217,22 @@ class SurrogateTraining(LightningModule):
         self._sums = dict(state["sums"])
 
     @torch.no_grad()
-    def _reset(self, indices: Tensor, last: Pass, forces: Tensor) -> Resets:
+    def _reset(self, indices: Tensor, turn: Turn) -> Resets:
         """Replace what has diverged, is too old, or had bad luck."""
         settings, pool = self.settings, self.pool
         length = settings.rollout_length
         resets = settings.resets.apply(
-            last.positions,
-            mean_length(last.residual),
-            mean_length(forces),
+            turn.positions,
+            mean_length(turn.residual),
+            mean_length(turn.forces),
             pool.states.stiffness[indices, 0],
             pool.states.age[indices],
             None if length is None else length.at(self.steps_done, settings.n_steps),
             pool.generator,
         )
+        # From 0 to 1, whatever the stiffness multiplies it by.
+        relative = relative_residual(turn.residual, turn.forces)
+        pool.note_failures(indices, torch.where(resets.diverged, 1.0, relative / (1 + relative)))
         pool.reset(indices[resets.any])
         return resets
 
@@ -238,21 +240,3 @@ class SurrogateTraining(LightningModule):
 def _tag(name: str) -> str:
     """Name of a curve in TensorBoard."""
     return name.replace(" ", "_")
-
-
-@torch.no_grad()
-def _pass_measures(number: int, result: Pass, forces: Tensor) -> dict[str, float]:
-    """Plain numbers of one pass."""
-    residual = relative_residual(result.residual, forces).nan_to_num(nan=1e6).clamp(max=1e6)
-    change = result.potential_change.nan_to_num(nan=0.0).clamp(-1e6, 1e6)
-    values = torch.stack(
-        (
-            change.median(),
-            result.accepted.float().mean(),
-            residual.quantile(0.1),
-            residual.median(),
-            residual.quantile(0.9),
-        )
-    )
-    names = ("potential change", "accepted", "residual 0.1", "residual 0.5", "residual 0.9")
-    return {f"pass {number}/{name}": v for name, v in zip(names, values.tolist(), strict=True)}

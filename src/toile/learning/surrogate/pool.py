@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -10,6 +11,7 @@ from torch import Tensor
 
 from toile.errors import InputError
 from toile.learning.surrogate.distributions import normal, uniform
+from toile.learning.surrogate.emphasis import Emphasis
 from toile.learning.surrogate.forces import ForceSampler, acceleration_field
 from toile.learning.surrogate.materials import MaterialRanges
 from toile.learning.surrogate.pinned_corners import (
@@ -44,6 +46,9 @@ class PoolSettings:
         noise: standard deviation of random changes of x_n in some of the problems: a network must cope with
             states that its own errors have spoilt.
         noise_share: share of the problems with such noise.
+        calm_share: share of the cloths without turbulence, whose pinned corners stand still: they come to
+            rest, if the network lets them.
+        emphasis: which stiffnesses new cloths have more often; None for all alike.
     """
 
     size: Count
@@ -55,6 +60,8 @@ class PoolSettings:
     bdf2_share: Fraction
     noise: NonNegative
     noise_share: Fraction
+    calm_share: Fraction = 0.0
+    emphasis: Emphasis | None = None
 
     def __post_init__(self) -> None:
         if self.size < 1 or len(self.grid) != 2 or min(self.grid) < 3:
@@ -78,13 +85,22 @@ class Pool:
     Args:
         settings: see there.
         generator: of all random numbers; the pool lives on its device and advances it.
+        share: see below.
+
+    Attributes:
+        share: of the stiffness ranges that new cloths have, from the soft end.
+        failures: running failure of every part of the material box; None without emphasis.
     """
 
-    def __init__(self, settings: PoolSettings, generator: torch.Generator) -> None:
+    def __init__(self, settings: PoolSettings, generator: torch.Generator, share: float = 1.0) -> None:
         self.settings = settings
         self.generator = generator
         self._masses = cell_shares(*settings.grid).to(generator.device, torch.float32)
         self._predictions = prediction_weights().to(generator.device)
+        self.share = share
+        self.failures: Tensor | None = None
+        if settings.emphasis is not None:
+            self.failures = settings.emphasis.start().to(generator.device)
         self.states = self._new(settings.size)
 
     def draw(self, n: int) -> Tensor:
@@ -92,17 +108,23 @@ class Pool:
         order = torch.randperm(self.settings.size, generator=self.generator, device=self.generator.device)
         return order[:n]
 
-    def problem(self, indices: Tensor) -> StepProblem:
+    def problem(self, indices: Tensor, since: Sequence[Tensor] = ()) -> StepProblem:
         """The next step of some cloths, with four candidate starts: standing still, free fall, and the linear
         and quadratic continuation of the motion.
 
         Args:
             indices: (B,) int64.
+            since: positions (B, H, W, 3) that the last steps have led to, newest first; the problem depends
+                on them with a derivative. Their values are those of the pool.
         """
         s = self.states.take(indices)
         free = s.free
         # In float64 from here on: a stiff spring multiplies every digit lost.
         x = self._with_noise(s.history, free).double()
+        if since:
+            changes = [positions - positions.detach() for positions in since[:_HISTORY]]
+            changes += [torch.zeros_like(changes[0])] * (_HISTORY - len(changes))
+            x = x + torch.stack(changes, 1)
         weights = self._predictions[s.bdf2.long(), s.age.clamp(max=_HISTORY - 1)]
         prediction = (weights[:, :, None, None, None] * x).sum(1)
         accelerations = acceleration_field(s.steady, s.turbulence, self.settings.grid)
@@ -150,10 +172,22 @@ class Pool:
         if len(indices):
             self.states.put(indices, self._new(len(indices)))
 
+    def note_failures(self, indices: Tensor, failures: Tensor) -> None:
+        """Let new cloths have those stiffnesses more often with which a step has failed.
+
+        Args:
+            indices: (B,) int64.
+            failures: of their steps, from 0 to 1, (B,).
+        """
+        if self.settings.emphasis is not None and self.failures is not None:
+            materials, stiffness = self.settings.materials, self.states.stiffness[indices]
+            self.failures = self.settings.emphasis.noted(self.failures, materials, stiffness, failures)
+
     def state_dict(self) -> dict[str, Any]:
-        """Everything that changes: the states and the generator, on the CPU."""
+        """Everything that changes: the states, the failures and the generator, on the CPU."""
         states = {name: tensor.detach().cpu().clone() for name, tensor in self.states.tensors().items()}
-        return {"states": states, "generator": self.generator.get_state().cpu()}
+        failures = {} if self.failures is None else {"failures": self.failures.cpu().clone()}
+        return {"states": states, "generator": self.generator.get_state().cpu(), **failures}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Inverse of state_dict.
@@ -172,14 +206,23 @@ class Pool:
             )
         self.states = ClothStates(**{name: new[name].to(self.generator.device, copy=True) for name in names})
         self.generator.set_state(state["generator"])
+        if self.failures is not None:
+            self.failures = state["failures"].to(self.generator.device, copy=True)
 
     def _new(self, n: int) -> ClothStates:
         """N cloths at rest."""
         settings, generator = self.settings, self.generator
         shapes = settings.rest_shapes.sample(n, settings.grid, generator)
-        stiffness = settings.materials.sample(n, generator)
+        if settings.emphasis is None or self.failures is None:
+            stiffness = settings.materials.sample(n, generator, self.share)
+        else:
+            stiffness = settings.emphasis.sample(n, settings.materials, self.failures, self.share, generator)
         forces = settings.forces.sample(n, generator)
         corner_speed = settings.pinned_corners.sample_speed(forces.gravity, generator)
+        if settings.calm_share > 0:
+            moved = (uniform(n, generator) >= settings.calm_share).to(corner_speed)
+            forces = forces.without_turbulence(moved)
+            corner_speed = corner_speed * moved
         return ClothStates(
             history=shapes.positions[:, None].repeat(1, _HISTORY, 1, 1, 1),
             age=torch.zeros(n, dtype=torch.int64, device=generator.device),

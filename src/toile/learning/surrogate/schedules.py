@@ -82,3 +82,36 @@ class RolloutLength:
         """Longest age in a step."""
         progress = min(1.0, step / max(1.0, self.share * n_steps))
         return round(self.first + (self.last - self.first) * progress)
+
+
+@dataclass(frozen=True)
+class StiffnessShare:
+    """Share of the logarithmic stiffness ranges that new cloths have: stiff ones come later.
+
+    Attributes:
+        first: share at the beginning of the run, from the soft end.
+        until: share of the run after which the ranges are whole; the share grows linearly until then.
+    """
+
+    first: Fraction
+    until: Fraction
+
+    def at(self, step: int, n_steps: int) -> float:
+        """The share in a step."""
+        progress = min(1.0, step / max(1.0, self.until * n_steps))
+        return self.first + (1.0 - self.first) * progress
+
+
+@dataclass(frozen=True)
+class UnrolledSteps:
+    """Time steps through which a gradient goes: one, and one more after each of some shares of the run.
+
+    Attributes:
+        after: shares of the run, ascending.
+    """
+
+    after: tuple[Fraction, ...]
+
+    def at(self, step: int, n_steps: int) -> int:
+        """The number in a step."""
+        return 1 + sum(step >= share * n_steps for share in self.after)

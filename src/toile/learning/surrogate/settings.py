@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated
 
 from pydantic import Field
 
 from toile.errors import InputError
+from toile.learning.surrogate.objectives import Objective, PassesApart
 from toile.learning.surrogate.pool import PoolSettings
 from toile.learning.surrogate.resets import ResetRules
-from toile.learning.surrogate.schedules import LearningRate, RolloutLength
+from toile.learning.surrogate.schedules import LearningRate, RolloutLength, StiffnessShare
 from toile.learning.surrogate.validation import ValidationSettings
 from toile.limits import Count, Fraction, Positive
 
@@ -33,6 +34,8 @@ class TrainingSettings:
         pool: the cloths; its size is that of all processes together.
         resets: when a cloth is replaced.
         validation: after every epoch.
+        objective: what a step descends along.
+        stiffness_share: of the stiffness ranges over the run; None for the whole ranges.
     """
 
     widths: Annotated[tuple[Count, ...], Field(min_length=1)]
@@ -48,6 +51,8 @@ class TrainingSettings:
     pool: PoolSettings
     resets: ResetRules
     validation: ValidationSettings
+    objective: Objective = field(default_factory=PassesApart)
+    stiffness_share: StiffnessShare | None = None
 
     def __post_init__(self) -> None:
         for name in ("epochs", "steps_per_epoch", "batch_size", "n_passes"):
@@ -70,3 +75,7 @@ class TrainingSettings:
     def n_steps(self) -> int:
         """Steps of the whole run."""
         return self.epochs * self.steps_per_epoch
+
+    def stiffness_share_at(self, step: int) -> float:
+        """Share of the stiffness ranges that new cloths have in a step."""
+        return 1.0 if self.stiffness_share is None else self.stiffness_share.at(step, self.n_steps)

@@ -22,12 +22,14 @@ class ValidationSettings:
         steps: time steps from rest.
         n_passes: passes of the network per step.
         seed: of the cloths and their forces.
+        sweeps: relaxations of the lines after each pass.
     """
 
     size: Count
     steps: Count
     n_passes: Count
     seed: Seed
+    sweeps: Count = 1
 
 
 @torch.no_grad()
@@ -51,7 +53,7 @@ def validation_rollout(
     curve = []
     for _ in range(settings.steps):
         problem = cloths.problem(everyone)
-        positions, residual = surrogate.solve(problem, settings.n_passes)
+        positions, residual = surrogate.solve(problem, settings.n_passes, settings.sweeps)
         cloths.advance(everyone, positions)
         curve.append(relative_residual(residual, problem.forces))
     return torch.stack(curve)

@@ -8,6 +8,7 @@ it is used, forces and line solves come from the kernels, and only their derivat
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import fields
 from functools import partial
 from typing import Any, final
 
@@ -33,6 +34,11 @@ class DifferentiableStepProblem(StepProblem):
     Step lengths are differentiated as well; which start is taken, and whether a step is accepted or halved,
     are choices and have no derivative.
     """
+
+    @classmethod
+    def of(cls, problem: StepProblem) -> DifferentiableStepProblem:
+        """The same step."""
+        return cls(**{field.name: getattr(problem, field.name) for field in fields(problem)})
 
     def residual(self, positions: Tensor) -> Tensor:
         """See StepProblem."""

@@ -75,12 +75,32 @@ class Surrogate(nn.Module):
         self, problem: StepProblem, n_passes: int, sweeps: int, halvings: int = 3
     ) -> tuple[Tensor, Tensor]:
         """The same with a graph: differentiable in all that a DifferentiableStepProblem holds."""
-        x = problem.best_start()
-        x, r = self._settle(problem, x, problem.residual(x), halvings)
+        x, r = self.begin(problem, halvings)
         for _ in range(n_passes):
-            x, r = _descend(problem, x, r, self.network(problem, x, r), halvings)
-            for _ in range(sweeps):
-                x, r = self._settle(problem, x, r, halvings)
+            x, r = self.improve(problem, x, r, self.network(problem, x, r), sweeps, halvings)
+        return x, r
+
+    def begin(self, problem: StepProblem, halvings: int = 3) -> tuple[Tensor, Tensor]:
+        """Where the first pass starts: the best start, settled; positions and out-of-balance force."""
+        x = problem.best_start()
+        return self._settle(problem, x, problem.residual(x), halvings)
+
+    def improve(
+        self, problem: StepProblem, x: Tensor, r: Tensor, correction: Tensor, sweeps: int, halvings: int = 3
+    ) -> tuple[Tensor, Tensor]:
+        """What a pass does with the network's displacement: positions and out-of-balance force after it.
+
+        Args:
+            problem: the step.
+            x: positions before, (B, H, W, 3).
+            r: out-of-balance force there.
+            correction: of the network, (B, H, W, 3).
+            sweeps: relaxations of the lines behind it.
+            halvings: of every displacement, see ``solve``.
+        """
+        x, r = _descend(problem, x, r, correction, halvings)
+        for _ in range(sweeps):
+            x, r = self._settle(problem, x, r, halvings)
         return x, r
 
     def _settle(self, problem: StepProblem, x: Tensor, r: Tensor, halvings: int) -> tuple[Tensor, Tensor]:
@@ -125,12 +145,8 @@ class Surrogate(nn.Module):
         good = (total < 0) & _finite(settled)
         change = torch.where(torch.isfinite(total), total, own)
         gradient = torch.where(_wide(_finite(through)), through, -r_moved)
-        scale = torch.maximum(change.abs(), _LEAST_SHARE * _local_gain(problem, r)) + 1e-12
-        usable = torch.isfinite(scale) & _finite(gradient)
-        gradient = torch.where(_wide(usable), gradient / _wide(scale), torch.zeros_like(gradient))
-        reach = correction.flatten(1).norm(dim=1) + _local_displacement(problem, r)
-        size = gradient.flatten(1).norm(dim=1) * reach
-        gradient = gradient * _wide(_LARGEST_GRADIENT / size.clamp(min=_LARGEST_GRADIENT))
+        gradient = gradient / _wide(loss_scale(problem, r, change))
+        gradient = limited(gradient, reach(problem, r, correction))
         return Pass(
             correction=correction,
             gradient=gradient,
@@ -139,6 +155,35 @@ class Surrogate(nn.Module):
             potential_change=change,
             accepted=good,
         )
+
+
+def loss_scale(problem: StepProblem, residual: Tensor, change: Tensor) -> Tensor:
+    """What Eq. 4 is divided by in training, (B,).
+
+    Args:
+        problem: the step.
+        residual: out-of-balance force before the pass, (B, H, W, 3).
+        change: of Φ by the pass, (B,).
+    """
+    return torch.maximum(change.abs(), _LEAST_SHARE * _local_gain(problem, residual)) + 1e-12
+
+
+def reach(problem: StepProblem, residual: Tensor, correction: Tensor) -> Tensor:
+    """How far a pass goes at least, (B,): its own displacement, and one along the local stiffness."""
+    return correction.detach().flatten(1).norm(dim=1) + _local_displacement(problem, residual)
+
+
+def limited(gradient: Tensor, farthest: Tensor) -> Tensor:
+    """Gradient of the rescaled loss, (B, H, W, 3), such that no sample shouts; zero where it is not finite.
+
+    Args:
+        gradient: with respect to displacements.
+        farthest: size of these, (B,).
+    """
+    usable = _finite(gradient) & torch.isfinite(farthest)
+    gradient = torch.where(_wide(usable), gradient, torch.zeros_like(gradient))
+    size = gradient.flatten(1).norm(dim=1) * torch.where(usable, farthest, 0.0)
+    return gradient * _wide(_LARGEST_GRADIENT / size.clamp(min=_LARGEST_GRADIENT)).to(gradient.dtype)
 
 
 def _descend(

@@ -24,13 +24,17 @@ from toile.learning.last_checkpoint import LastCheckpoint
 from toile.learning.quiet import quiet_lightning
 from toile.learning.surrogate.average import AverageSurrogate
 from toile.learning.surrogate.batches import PoolBatches
+from toile.learning.surrogate.callbacks.epoch_weights import EpochWeights
 from toile.learning.surrogate.callbacks.progress import EpochLines
 from toile.learning.surrogate.callbacks.stopping import StopBetweenSteps
 from toile.learning.surrogate.callbacks.tensorboard import DashboardLayout, PictureLogger
+from toile.learning.surrogate.emphasis import Emphasis
 from toile.learning.surrogate.module import SurrogateTraining
+from toile.learning.surrogate.objectives import BehindTheSweeps
 from toile.learning.surrogate.resets import ResetRules
-from toile.learning.surrogate.schedules import RolloutLength
+from toile.learning.surrogate.schedules import RolloutLength, StiffnessShare, UnrolledSteps
 from toile.physics.surrogate.surrogate import Surrogate
+from toile.physics.surrogate.weights import load_weights
 
 MakeTraining = Callable[..., SurrogateTraining]
 
@@ -181,6 +185,35 @@ def test_an_interrupted_training_continues_bit_for_bit(
     resumed = train(make_training(seed=5), seed=5, checkpoint=saving.path)
     assert resumed.steps_done == 9
     assert_identical(resumed, whole)
+
+
+def test_a_training_behind_the_sweeps_continues_bit_for_bit(
+    make_training: MakeTraining, tmp_path: Path
+) -> None:
+    changes: dict[str, Any] = {
+        "objective": BehindTheSweeps(1, UnrolledSteps((0.5,))),
+        "stiffness_share": StiffnessShare(0.5, 0.8),
+        "pool": replace(
+            make_training().settings.pool,
+            calm_share=0.5,
+            emphasis=Emphasis(2, corners=0.3, evenly=0.5, memory=0.9),
+        ),
+    }
+    whole = train(make_training(**changes), EpochWeights(tmp_path / "epochs"))
+    assert whole.pool.share == 1.0
+    assert whole.pool.states.turbulence_strength.eq(0).any()
+    saving = LastCheckpoint(tmp_path, every=100, save_on_exception=False)
+    train(make_training(**changes), Interrupt(3), StopBetweenSteps(None), saving)
+    resumed = train(make_training(seed=5, **changes), seed=5, checkpoint=saving.path)
+    assert_identical(resumed, whole)
+    assert whole.pool.failures is not None
+    assert resumed.pool.failures is not None
+    assert whole.pool.failures.min() < 1
+    assert torch.equal(resumed.pool.failures, whole.pool.failures)
+    files = sorted((tmp_path / "epochs").iterdir())
+    assert [file.name for file in files] == ["epoch_001.pt", "epoch_002.pt", "epoch_003.pt"]
+    last = load_weights(files[-1]).state_dict()
+    assert all(torch.equal(value, last[name]) for name, value in whole.surrogate.state_dict().items())
 
 
 @pytest.mark.parametrize(("every", "crash", "kept"), [(2, 5, 4), (1, 3, 3), (1, 7, 7), (5, 8, 6)])

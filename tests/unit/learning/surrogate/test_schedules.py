@@ -6,7 +6,13 @@ from itertools import pairwise
 
 import pytest
 
-from toile.learning.surrogate.schedules import RolloutLength, Stairs, WarmCosine
+from toile.learning.surrogate.schedules import (
+    RolloutLength,
+    Stairs,
+    StiffnessShare,
+    UnrolledSteps,
+    WarmCosine,
+)
 
 
 def test_the_papers_learning_rate() -> None:
@@ -26,3 +32,14 @@ def test_warm_cosine() -> None:
 def test_rollouts_grow() -> None:
     length = RolloutLength(20, 400, 0.5)
     assert [length.at(step, 100) for step in (0, 25, 50, 99)] == [20, 210, 400, 400]
+
+
+def test_stiff_cloths_come_later() -> None:
+    share = StiffnessShare(first=0.5, until=0.4)
+    assert [share.at(step, 100) for step in (0, 20, 40, 99)] == pytest.approx([0.5, 0.75, 1.0, 1.0])
+
+
+def test_more_steps_are_unrolled_in_the_end() -> None:
+    unrolled = UnrolledSteps((0.5, 0.9))
+    assert [unrolled.at(step, 10) for step in (0, 4, 5, 8, 9)] == [1, 1, 2, 2, 3]
+    assert UnrolledSteps(()).at(9, 10) == 1
