@@ -36,6 +36,8 @@ from toile.capture.garments import Garment, Material, attached_targets
 from toile.capture.garments.patterns import make_dress, make_skirt
 from toile.capture.layer.layer import GRAVITY, LayerSettings, SimulationLayer
 from toile.capture.layer.silhouette import SilhouetteRays
+from toile.capture.layer.workers import LayerWorkers
+from toile.capture.losses.simulation import LayerWindow, window_on_layer
 from toile.capture.motion.procedural import make_motion
 from toile.geometry.mesh import grid_faces
 from toile.geometry.moving_surface import MovingSurface
@@ -53,6 +55,7 @@ CHUNK = 25
 SUBJECT = "default"
 FRICTIONS = (0.0, 0.3, 1.0)
 OWN_FRAMES = 51
+BATCH_VERTICES, BATCH_WINDOWS, BATCH_FRAMES, BATCH_REPEATS = (448, 960), 8, 3, 5
 SEEN_MOTION, SEEN_FRAMES, SEEN_VERTICES = "twirl", 31, 450
 
 
@@ -321,6 +324,64 @@ def on_a_sphere(mu: float) -> dict:
     }
 
 
+def batches() -> Iterator[Case]:
+    """Windows of a training's batch, one after the other and in two processes."""
+    for n in BATCH_VERTICES:
+        for count in (1, 2):
+            yield f"batch_{n}_{count}", partial(in_processes, n, count)
+
+
+@cache
+def windows(vertices: int) -> tuple[Garment, list[LayerWindow]]:
+    """Skirt, and windows of its walk, 10 to 80 frames from the start."""
+    subject = load_subject(SUBJECT)
+    garment = make_skirt(subject, vertices)
+    body = bodies("walk", 31)
+    motion = SimulationLayer.of(garment, subject).simulate(body, FPS, 1)
+    x = torch.from_numpy(motion.garment_positions)
+    begins = np.linspace(5, 31 - BATCH_FRAMES, BATCH_WINDOWS).astype(int)
+    return garment, [
+        LayerWindow(x[k : k + BATCH_FRAMES], body[k : k + BATCH_FRAMES], FPS, 1) for k in map(int, begins)
+    ]
+
+
+def timed_window(layer: SimulationLayer, window: LayerWindow) -> tuple[Tensor, float]:
+    """What a layer makes of a window, and seconds of the processor."""
+    cpu = time.process_time()
+    positions = window_on_layer(layer, window).positions
+    return positions, time.process_time() - cpu
+
+
+def in_processes(vertices: int, count: int) -> dict:
+    """Time of a batch of windows, and whether its digits are those of one process."""
+    garment, asked = windows(vertices)
+    layer = SimulationLayer.of(garment, load_subject(SUBJECT))
+    window_on_layer(layer, asked[0])
+    alone = [window_on_layer(layer, window).positions for window in asked]
+    with LayerWorkers(layer, count) as workers:
+        begin = time.perf_counter()
+        workers.map(timed_window, asked)
+        first = time.perf_counter() - begin
+        walls, own = [], []
+        for _ in range(BATCH_REPEATS):
+            begin, cpu = time.perf_counter(), time.process_time()
+            found = workers.map(timed_window, asked)
+            walls.append(time.perf_counter() - begin)
+            of_this = time.process_time() - cpu
+            own.append(of_this if count == 1 else of_this + sum(seconds for _, seconds in found))
+    return {
+        "vertices": layer.cloth.n_vertices,
+        "windows": len(asked),
+        "frames": BATCH_FRAMES,
+        "processes": count,
+        "first_batch_seconds": first,
+        "wall_seconds": min(walls),
+        "slowest_wall_seconds": max(walls),
+        "cpu_seconds": min(own),
+        "same_digits": all(torch.equal(x, y) for x, (y, _) in zip(alone, found, strict=True)),
+    }
+
+
 def silhouettes() -> Iterator[Case]:
     """Error to the truth of a skirt whose stiffness is a third, or three times, of what is true."""
     for factor in (1 / 3, 3.0):
@@ -391,6 +452,13 @@ PARTS: dict[str, tuple[str, Callable[[], Iterator[Case]]]] = {
         "Way of a patch of cloth on a plane, as its acceleration, and on a sphere. What sticks creeps below "
         "5 mm/s.",
         friction,
+    ),
+    "batches": (
+        f"A batch of {BATCH_WINDOWS} windows of a training ({BATCH_FRAMES} frames, one sub-step per frame), "
+        f"one after the other and in two processes: the fastest and the slowest of {BATCH_REPEATS} on two "
+        "cores that others use as well. The first batch starts the processes. Seconds of the processor are "
+        "those of all processes.",
+        batches,
     ),
     "silhouettes": (
         f"Eq. 1 with another stiffness than the truth's: error of free vertices over the second half of "

@@ -8,6 +8,9 @@ import warp as wp
 # Closer than this to the surface [m] the way to the nearest point is the face's normal.
 _CLOSE = 1.0e-7
 
+# Beyond the rounding of single precision within some metres [m].
+_SINGLE = wp.constant(wp.float32(2.0e-6))
+
 # How far behind each other two walls of a crease may be [m].
 _FLAT = 1.0e-3
 
@@ -47,6 +50,34 @@ def place_on_triangle(p: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):  # no
     return wp.vec3d(va * scale, vb * scale, vc * scale)
 
 
+@wp.func
+def place_on_face(
+    p: wp.vec3d,
+    vertices: wp.array(dtype=wp.vec3d),
+    triangles: wp.array(dtype=wp.int32, ndim=2),
+    face: wp.int32,
+):
+    """Barycentric coordinates of the point of a face nearest to p."""
+    return place_on_triangle(
+        p, vertices[triangles[face, 0]], vertices[triangles[face, 1]], vertices[triangles[face, 2]]
+    )
+
+
+@wp.func
+def point_of_face(
+    w: wp.vec3d,
+    vertices: wp.array(dtype=wp.vec3d),
+    triangles: wp.array(dtype=wp.int32, ndim=2),
+    face: wp.int32,
+):
+    """Point of a face at barycentric coordinates w."""
+    return (
+        w[0] * vertices[triangles[face, 0]]
+        + w[1] * vertices[triangles[face, 1]]
+        + w[2] * vertices[triangles[face, 2]]
+    )
+
+
 @wp.kernel(enable_backward=False)
 def nearest_places(
     mesh: wp.uint64,
@@ -61,7 +92,7 @@ def nearest_places(
     normals: wp.array(dtype=wp.vec3d),
     distances: wp.array(dtype=wp.float64),
 ):
-    """Nearest face (-1: none within reach) by single precision, and the nearest point on it by double."""
+    """Nearest face (-1: none within reach) and the nearest point on it, the same whatever the tree is."""
     i = wp.tid()
     p = points[i]
     asked = wp.vec3f(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2]))
@@ -76,13 +107,28 @@ def nearest_places(
         other = wp.mesh_query_point_no_sign(mesh, asked, reach)
         if other.result:
             face = other.face
-    faces[i] = face
     if face < 0:
+        faces[i] = face
         return
+    w = place_on_face(p, vertices, triangles, face)
+    least = wp.length(p - point_of_face(w, vertices, triangles, face))
+    # Which of several faces at nearly one distance it is depends on the tree, and so on where the mesh was
+    # first. Among all that may be nearest double precision decides, and their numbers where it can't.
+    half = wp.float32(least) + _SINGLE
+    box = wp.vec3f(half, half, half)
+    query = wp.mesh_query_aabb(mesh, asked - box, asked + box)
+    other_face = wp.int32(0)
+    while wp.mesh_query_aabb_next(query, other_face):
+        v = place_on_face(p, vertices, triangles, other_face)
+        length = wp.length(p - point_of_face(v, vertices, triangles, other_face))
+        if length < least or (length == least and other_face < face):
+            least = length
+            face = other_face
+            w = v
+    faces[i] = face
     a = vertices[triangles[face, 0]]
     b = vertices[triangles[face, 1]]
     c = vertices[triangles[face, 2]]
-    w = place_on_triangle(p, a, b, c)
     on = w[0] * a + w[1] * b + w[2] * c
     away = p - on
     length = wp.length(away)
@@ -143,7 +189,8 @@ def other_walls(
             between = on - walls[i]
             crease = wp.dot(between, directions[i]) > wp.float64(-_FLAT)
             crease = crease and wp.dot(between, normal) < wp.float64(_FLAT)
-            if crease and length < least and wp.abs(across) >= wp.float64(0.7) * length:
+            nearer = length < least or (length == least and face < faces[i])
+            if crease and nearer and wp.abs(across) >= wp.float64(0.7) * length:
                 least = length
                 sign = wp.where(across < wp.float64(0.0), wp.float64(-1.0), wp.float64(1.0))
                 if length > wp.float64(_CLOSE):

@@ -70,3 +70,20 @@ def test_rays_hit_what_is_before_them() -> None:
     hits = surface.hits(starts, np.array([[1.0, 0, 0], [-1.0, 0, 0]]), 5.0)
     assert abs(hits[0] - 0.9) < 1e-3
     assert np.isinf(hits[1])
+
+
+def test_answers_do_not_depend_on_where_the_surface_was_before() -> None:
+    """The tree of boxes is made once; above edges and corners it meets the faces in an order of its own."""
+    vertices, faces = ball((0.0, 0.0, 0.0))
+    edges = vertices[np.unique(np.sort(faces[:, [0, 1]], 1), axis=0)].mean(1)
+    points = 1.1 * np.concatenate((vertices, edges))
+    turned = vertices[:, [1, 2, 0]] * (3.0, 0.2, 1.0)
+    for signed in (True, False):
+        answers = []
+        for first in (vertices, turned):
+            surface = MovingSurface(len(vertices), faces)
+            surface.move(first)
+            surface.move(vertices)
+            answers.append(surface.nearest(points, 0.1, signed=signed))
+        np.testing.assert_array_equal(answers[0].faces, answers[1].faces)
+        np.testing.assert_array_equal(answers[0].normals, answers[1].normals)

@@ -82,7 +82,6 @@ class LayerStep:
         newton_steps: Newton iterations of all passes together.
         contacts: number of contacts that push at the end, cloth vertices and body vertices.
         residual: largest out-of-balance force on a vertex [N].
-        contact: what touched, as it was in the last solve.
     """
 
     positions: Tensor
@@ -91,7 +90,6 @@ class LayerStep:
     newton_steps: int
     contacts: int
     residual: float
-    contact: FrozenContact
 
 
 @dataclass(frozen=True)
@@ -149,6 +147,7 @@ class SimulationLayer:
     ) -> None:
         self.garment = garment
         self.settings = settings or LayerSettings()
+        self._made_of = (garment, body_faces, inactive, settings, membrane, terms)
         self.body_faces = body_faces
         self._terms = tuple(terms)
         material = garment.material
@@ -176,6 +175,10 @@ class SimulationLayer:
         self._simulators: dict[float, RenewingSimulator] = {}
         self._gravity = torch.zeros(self.cloth.n_vertices, 3, dtype=torch.float64)
         self._gravity[:, 1] = -GRAVITY * self.cloth.masses
+
+    def __reduce__(self) -> tuple[object, ...]:
+        # Trees of boxes live in this process; another one makes its own.
+        return type(self), self._made_of
 
     @staticmethod
     def of(
@@ -265,25 +268,7 @@ class SimulationLayer:
             newton_steps=result.iterations[0],
             contacts=contact.pushing(found.detach().numpy()),
             residual=result.residual[0],
-            contact=contact,
         )
-
-    def step_batch(
-        self, positions: Tensor, velocities: Tensor, bodies: Tensor, next_bodies: Tensor, time_step: float
-    ) -> list[LayerStep]:
-        """Steps of B windows, one after the other: the same digits as each alone.
-
-        The pattern of the factorisation is analysed once for all; nothing else could be shared.
-
-        Args:
-            positions: (B, N, 3), see ``step``.
-            velocities: (B, N, 3).
-            bodies: at the begin (B, V, 3).
-            next_bodies: at the end (B, V, 3).
-            time_step: h [s].
-        """
-        scenes = zip(positions, velocities, bodies, next_bodies, strict=True)
-        return [self.step(*scene, time_step) for scene in scenes]
 
     def simulate(
         self,

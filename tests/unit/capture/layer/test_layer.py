@@ -11,6 +11,7 @@ from tests.unit.capture.layer.conftest import body_and_garment, tilted
 from toile.capture.garments import attached_targets
 from toile.capture.layer.layer import LayerSettings, SimulationLayer
 from toile.capture.layer.silhouette import Outline, SilhouettePotential, SilhouetteRays
+from toile.capture.layer.workers import LayerWorkers
 from toile.errors import InputError
 from toile.geometry.camera import Camera, looking_at
 from toile.rendering import WarpRenderer
@@ -79,21 +80,44 @@ def test_a_motion_goes_on_from_where_it_was_cut(swing) -> None:
     np.testing.assert_array_equal(rest.garment_positions[-1], motion.garment_positions[-1])
 
 
-def test_a_batch_has_the_digits_of_singles(swing) -> None:
-    layer, bodies, motion = swing
+def scenes_of(motion, bodies: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Steps over a whole frame out of a motion."""
     x = torch.from_numpy(motion.garment_positions)
-    frames = (5, 9, 13)
-    v = [(x[k] - x[k - 1]) * 30 for k in frames]
-    singles = [layer.step(x[k], u, bodies[k], bodies[k + 1], 1 / 30) for k, u in zip(frames, v, strict=True)]
-    batch = layer.step_batch(
-        torch.stack([x[k] for k in frames]),
-        torch.stack(v),
-        torch.stack([bodies[k] for k in frames]),
-        torch.stack([bodies[k + 1] for k in frames]),
-        1 / 30,
-    )
-    for alone, together in zip(singles, batch, strict=True):
+    frames = torch.tensor([5, 9, 13])
+    return x[frames], (x[frames] - x[frames - 1]) * 30, bodies[frames], bodies[frames + 1]
+
+
+@pytest.mark.parametrize("processes", [1, 2])
+def test_a_batch_has_the_digits_of_singles(swing, processes: int) -> None:
+    layer, bodies, motion = swing
+    scenes = scenes_of(motion, bodies)
+    with LayerWorkers(layer, processes) as workers, torch.no_grad():
+        batch = workers.step_batch(*scenes, 1 / 30)
+    for together, *scene in zip(batch, *scenes, strict=True):
+        alone = layer.step(*scene, 1 / 30)
         assert torch.equal(alone.positions, together.positions)
+        assert (alone.converged, alone.newton_steps) == (together.converged, together.newton_steps)
+
+
+def test_a_step_does_not_depend_on_what_its_layer_did_before(swing) -> None:
+    """The tree of boxes is made where a mesh is first; which of two equally near faces it finds is chance."""
+    layer, bodies, motion = swing
+    scenes = scenes_of(motion, bodies)
+    ways = []
+    for order in (1, -1):
+        other = SimulationLayer(layer.garment, layer.body_faces)
+        ways.append(
+            [other.step(*scene, 1 / 30).positions for scene in list(zip(*scenes, strict=True))[::order]]
+        )
+    for first, second in zip(ways[0], ways[1][::-1], strict=True):
+        assert torch.equal(first, second)
+
+
+def test_gradients_do_not_cross_processes(swing) -> None:
+    layer, bodies, motion = swing
+    x, *others = scenes_of(motion, bodies)
+    with pytest.raises(ValueError, match="gradients stay within a process"):
+        LayerWorkers(layer, 2).step_batch(x.requires_grad_(), *others, 1 / 30)
 
 
 def test_a_body_of_another_size_is_told(swing) -> None:
