@@ -1,7 +1,7 @@
 """Warp kernels of the questions to a moving surface."""
 
 # Kernels are Python in syntax only: arrays and numbers follow Warp's own typing rules.
-# mypy: disable-error-code="arg-type, attr-defined, no-untyped-def, operator, valid-type"
+# mypy: disable-error-code="arg-type, attr-defined, index, no-untyped-def, operator, valid-type"
 
 import warp as wp
 
@@ -10,6 +10,9 @@ _CLOSE = 1.0e-7
 
 # Beyond the rounding of single precision within some metres [m].
 _SINGLE = wp.constant(wp.float32(2.0e-6))
+
+# Faces that share the nearest edge or corner are as near as each other, but for rounding [m].
+_TIE = wp.constant(wp.float64(1.0e-12))
 
 # How far behind each other two walls of a crease may be [m].
 _FLAT = 1.0e-3
@@ -121,7 +124,7 @@ def nearest_places(
     while wp.mesh_query_aabb_next(query, other_face):
         v = place_on_face(p, vertices, triangles, other_face)
         length = wp.length(p - point_of_face(v, vertices, triangles, other_face))
-        if length < least or (length == least and other_face < face):
+        if length < least - _TIE or (length <= least + _TIE and other_face < face):
             least = length
             face = other_face
             w = v
@@ -189,7 +192,7 @@ def other_walls(
             between = on - walls[i]
             crease = wp.dot(between, directions[i]) > wp.float64(-_FLAT)
             crease = crease and wp.dot(between, normal) < wp.float64(_FLAT)
-            nearer = length < least or (length == least and face < faces[i])
+            nearer = length < least - _TIE or (length <= least + _TIE and face < faces[i])
             if crease and nearer and wp.abs(across) >= wp.float64(0.7) * length:
                 least = length
                 sign = wp.where(across < wp.float64(0.0), wp.float64(-1.0), wp.float64(1.0))

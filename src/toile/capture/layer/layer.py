@@ -23,7 +23,7 @@ from toile.capture.layer.silhouette import Outline, SilhouettePotential, Silhoue
 from toile.errors import InputError
 from toile.limits import Count, Fraction, Positive
 from toile.physics.cloth import mesh_cloth
-from toile.physics.contact.body import BodyContact, ContactSettings, FrozenContact
+from toile.physics.contact.body import BodyContact, ContactSettings
 from toile.physics.contact.own import OwnContactSettings
 from toile.physics.energies.membrane import Membrane, NeoHookean
 from toile.physics.implicit.integrators import BackwardEuler
@@ -209,12 +209,12 @@ class SimulationLayer:
         friction: float | Tensor | None = None,
         attached: Tensor | None = None,
         silhouettes: Sequence[SilhouetteRays] = (),
-        contact: FrozenContact | None = None,
     ) -> LayerStep:
         """One step of implicit Euler.
 
-        Differentiable by everything that is a tensor here but the body, by the implicit function theorem at
-        the solution; the contacts (planes, normal forces of the friction) count as given.
+        Differentiable by everything that is a tensor here, by the implicit function theorem pass by pass:
+        planes and normal forces of the friction follow from body and cloth. Which face, edge or corner is
+        nearest to what counts as given: where that changes there is no derivative.
 
         Args:
             positions: x_n (N, 3) [m], float64.
@@ -226,16 +226,17 @@ class SimulationLayer:
             friction: μ; the garment's if None.
             attached: attached vertices at the end (A, 3) [m]; where the body takes them if None.
             silhouettes: of the step's end, one per view, for Eq. 1.
-            contact: of an earlier step with the same bodies, taken as given; found anew if None.
+
+        Raises:
+            InputError: gradients are asked for where the garment is in contact with itself.
         """
         if friction is None:
             friction = self.garment.material.friction
         begin = positions.detach().numpy()
         ahead = (positions + time_step * velocities).detach().numpy()
-        if contact is None:
-            contact = self.contact.begin(begin, body.numpy(), next_body.numpy(), friction, time_step, ahead)
-        else:
-            contact = contact.again(begin, friction)
+        if self.contact.own is not None:
+            self._refuse_gradients(positions, velocities, body, next_body, material, friction, attached)
+        contact = self.contact.begin(begin, body, next_body, friction, time_step, ahead)
         if attached is None:
             attached = attached_targets(self.garment, next_body, self.body_faces)
         simulator = self._simulator(time_step)
@@ -341,6 +342,18 @@ class SimulationLayer:
             seconds=np.array(seconds),
             velocities=v.numpy(),
         )
+
+    def _refuse_gradients(self, *inputs: Tensor | Material | float | None) -> None:
+        """Planes between parts of the cloth follow from too much: both sides, and what detection stopped."""
+        tensors = [given.values if isinstance(given, Material) else given for given in inputs]
+        asked = any(isinstance(given, Tensor) and given.requires_grad for given in tensors)
+        if asked and torch.is_grad_enabled():
+            raise InputError(
+                "No gradients through contact of a garment with itself",
+                where="own_contact",
+                expected="none, or inputs that require no gradients",
+                got="both",
+            )
 
     def _check_start(self, x: Tensor, body: Tensor) -> None:
         self.contact.body.move(body.numpy())
