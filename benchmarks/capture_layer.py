@@ -123,22 +123,16 @@ def run(garment_name: str, motion_name: str, vertices: int = VERTICES, frames: i
             begin, cpu = time.perf_counter(), time.process_time()
             motion = layer.simulate(body[first : last + 1], FPS, SUBSTEPS, x, v)
             cpu, wall = time.process_time() - cpu, time.perf_counter() - begin
-            numpy_body = body.numpy()
-            depths = [
-                penetration(layer, numpy_body[first + k], motion.garment_positions[k])
-                for k in range(1, last - first + 1)
-            ]
             targets = attached_targets(garment, body[first : last + 1], subject.faces).numpy()
             held = motion.garment_positions[:, garment.attached.numpy()] - targets
             file.parent.mkdir(parents=True, exist_ok=True)
             partial_file = file.with_suffix(".partial.npz")
             np.savez(
                 partial_file,
-                positions=motion.garment_positions[-1],
+                positions=motion.garment_positions[1:],
                 velocities=motion.velocities,
                 converged=motion.converged,
                 newton=motion.newton_steps,
-                depths=np.array(depths),
                 energy=np.stack((motion.kinetic, motion.elastic, motion.gravitational)),
                 waist=np.linalg.norm(held[1:], axis=-1).max(initial=0.0),
                 seconds=np.array([cpu, wall]),
@@ -149,8 +143,9 @@ def run(garment_name: str, motion_name: str, vertices: int = VERTICES, frames: i
             )
         with np.load(file) as found:
             chunks.append(dict(found))
-        x, v = torch.from_numpy(chunks[-1]["positions"]), torch.from_numpy(chunks[-1]["velocities"])
-    depths = np.concatenate([chunk["depths"] for chunk in chunks])
+        x, v = torch.from_numpy(chunks[-1]["positions"][-1]), torch.from_numpy(chunks[-1]["velocities"])
+    moved = np.concatenate([chunk["positions"] for chunk in chunks])
+    depths = np.array([penetration(layer, *pair) for pair in zip(body[1:].numpy(), moved, strict=True)])
     energy = np.concatenate([chunk["energy"][:, 1:] for chunk in chunks], 1)
     cpu, wall = sum(chunk["seconds"] for chunk in chunks)
     converged = np.concatenate([chunk["converged"] for chunk in chunks])
