@@ -14,6 +14,9 @@ _SINGLE = wp.constant(wp.float32(2.0e-6))
 # Faces that share the nearest edge or corner are as near as each other, but for rounding [m].
 _TIE = wp.constant(wp.float64(1.0e-12))
 
+# Points and weights nearer than this to each other are the same.
+_SAME = wp.constant(wp.float64(1.0e-9))
+
 # How far behind each other two walls of a crease may be [m].
 _FLAT = 1.0e-3
 
@@ -81,6 +84,41 @@ def point_of_face(
     )
 
 
+@wp.func
+def normal_at(
+    mesh: wp.uint64,
+    on: wp.vec3d,
+    vertices: wp.array(dtype=wp.vec3d),
+    triangles: wp.array(dtype=wp.int32, ndim=2),
+):
+    """Normal of the surface at a point on an edge or a corner: its faces' there, by their angles.
+
+    Of those faces alone that meet in it; others at the same distance from whoever asks say nothing.
+    """
+    total = wp.vec3d()
+    at = wp.vec3f(wp.float32(on[0]), wp.float32(on[1]), wp.float32(on[2]))
+    box = wp.vec3f(_SINGLE, _SINGLE, _SINGLE)
+    query = wp.mesh_query_aabb(mesh, at - box, at + box)
+    face = wp.int32(0)
+    one = wp.float64(1.0) - _SAME
+    while wp.mesh_query_aabb_next(query, face):
+        w = place_on_face(on, vertices, triangles, face)
+        if wp.length(on - point_of_face(w, vertices, triangles, face)) < _SAME:
+            a = vertices[triangles[face, 0]]
+            b = vertices[triangles[face, 1]]
+            c = vertices[triangles[face, 2]]
+            # Half a turn along an edge.
+            angle = wp.float64(wp.PI)
+            if w[0] > one:
+                angle = wp.acos(wp.clamp(wp.dot(wp.normalize(b - a), wp.normalize(c - a)), -one, one))
+            if w[1] > one:
+                angle = wp.acos(wp.clamp(wp.dot(wp.normalize(c - b), wp.normalize(a - b)), -one, one))
+            if w[2] > one:
+                angle = wp.acos(wp.clamp(wp.dot(wp.normalize(a - c), wp.normalize(b - c)), -one, one))
+            total += wp.normalize(wp.cross(b - a, c - a)) * angle
+    return total
+
+
 @wp.kernel(enable_backward=False)
 def nearest_places(
     mesh: wp.uint64,
@@ -100,16 +138,9 @@ def nearest_places(
     p = points[i]
     asked = wp.vec3f(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2]))
     face = wp.int32(-1)
-    sign = wp.float64(1.0)
-    if with_sign:
-        found = wp.mesh_query_point_sign_normal(mesh, asked, reach)
-        if found.result:
-            face = found.face
-            sign = wp.float64(found.sign)
-    else:
-        other = wp.mesh_query_point_no_sign(mesh, asked, reach)
-        if other.result:
-            face = other.face
+    found = wp.mesh_query_point_no_sign(mesh, asked, reach)
+    if found.result:
+        face = found.face
     if face < 0:
         faces[i] = face
         return
@@ -135,12 +166,15 @@ def nearest_places(
     on = w[0] * a + w[1] * b + w[2] * c
     away = p - on
     length = wp.length(away)
+    sign = wp.float64(1.0)
     normal = wp.normalize(wp.cross(b - a, c - a))
     if length > wp.float64(_CLOSE):
-        across = wp.dot(away, normal)
-        # Single precision may take a point just beside the surface for one on the other side.
-        if wp.min(wp.min(w[0], w[1]), w[2]) > wp.float64(0.0) and with_sign:
-            sign = wp.sign(across)
+        if with_sign:
+            outwards = normal
+            if wp.min(wp.min(w[0], w[1]), w[2]) <= wp.float64(0.0):
+                outwards = normal_at(mesh, on, vertices, triangles)
+            if wp.dot(away, outwards) < wp.float64(0.0):
+                sign = wp.float64(-1.0)
         normal = away * (sign / length)
     weights[i] = w
     nearest[i] = on
