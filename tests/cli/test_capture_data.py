@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from toile.capture.data.estimate import Estimate
 from toile.capture.motion.source import MotionFiles
 from toile.errors import InputError
 
@@ -157,7 +159,7 @@ def test_large_presets_say_what_they_would_make(toile, preset: str, images: int)
     assert f"{images:,} images" in said.out
     vertices = [int(n.replace(",", "")) for n in re.findall(r"(?:garment|truth) ([\d,]+)", said.out)]
     assert vertices[1] > 1.4 * vertices[0] > 1000
-    assert re.search(r"time: about [\d.]+ h on one core", said.out)
+    assert re.search(r"time: about [\d.]+ (min|h) on one core", said.out)
     assert re.search(r"disk: about [\d,]+ MB", said.out)
     assert not Path("set").exists()
 
@@ -166,3 +168,16 @@ def test_a_dry_run_is_of_data_only(toile) -> None:
     refused = toile("capture", "page", "run=set", "dry_run=true")
     assert refused.status == 2
     assert "dry_run" in refused.err
+
+
+def test_estimates_grow_with_what_is_made() -> None:
+    """The demo took 32 s; twice the clips take twice as much, a finer truth more than in proportion."""
+    demo = Estimate(2, 40, 4, 128, 5, 13718, 446, 580)
+    assert demo.seconds == pytest.approx(32, rel=0.2)
+    double = replace(demo, clips=4)
+    assert double.seconds == pytest.approx(2 * demo.seconds)
+    assert double.size == pytest.approx(2 * demo.size)
+    fine, finer = (replace(demo, true_vertices=n, views=0).seconds for n in (4000, 8000))
+    assert finer > 2.2 * fine
+    assert replace(demo, simulated=False).seconds is None
+    assert "not known" in replace(demo, simulated=False).lines()[2]

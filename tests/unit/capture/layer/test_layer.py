@@ -5,15 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+import trimesh
 from torch import Tensor
 
 from tests.unit.capture.layer.conftest import body_and_garment, tilted
-from toile.capture.garments import attached_targets
+from toile.capture.garments import Garment, Material, attached_targets
 from toile.capture.layer.layer import LayerSettings, SimulationLayer
 from toile.capture.layer.silhouette import Outline, SilhouettePotential, SilhouetteRays
 from toile.capture.layer.workers import LayerWorkers
 from toile.errors import InputError
 from toile.geometry.camera import Camera, looking_at
+from toile.geometry.mesh import grid_faces
 from toile.physics.contact.own import OwnContactSettings
 from toile.physics.simulator import SimulationError
 from toile.rendering import WarpRenderer
@@ -311,3 +313,34 @@ def test_pixels_of_the_body_are_no_silhouette_of_the_garment() -> None:
     # The sides and the lower edge, not the upper one, which the body continues.
     assert len(rays.directions) == 2 + 2 + 4
     assert rays.directions[:, 1].min() > -0.01 / 1
+
+
+def draped_on_a_ball(n: int) -> Tensor:
+    """Where a soft square of n² vertices rests on a ball (n, n, 3) [m]."""
+    ball = trimesh.creation.icosphere(4, 0.25)
+    at = torch.linspace(-0.1, 0.1, n, dtype=torch.float64)
+    z, x = torch.meshgrid(at, at, indexing="ij")
+    rest = torch.stack((x, torch.full_like(x, 0.256), z), -1).reshape(-1, 3)
+    none, index = torch.zeros(0, 3, dtype=torch.float64), torch.zeros(0, dtype=torch.int64)
+    soft = Material(young=50.0, bending=3e-4, friction=0.3)
+    garment = Garment(rest, grid_faces(n, n), index, index, none, none, soft)
+    layer = SimulationLayer(garment, torch.from_numpy(np.array(ball.faces, np.int64)))
+    motion = layer.simulate(torch.from_numpy(np.array(ball.vertices)).expand(25, -1, -1), 30.0, 1)
+    assert motion.converged.all()
+    return torch.from_numpy(motion.garment_positions[-1]).reshape(n, n, 3)
+
+
+def test_a_draped_sheet_converges_under_refinement() -> None:
+    """`make capture-layer` has the same with a finer one."""
+    finest = draped_on_a_ball(17)
+    errors = []
+    for n in (3, 5, 9):
+        every = 16 // (n - 1)
+        away = draped_on_a_ball(n) - finest[::every, ::every]
+        errors.append(float(away.square().sum(-1).mean().sqrt()))
+    assert errors[1] < 0.6 * errors[0]
+    assert errors[2] < 0.5 * errors[1]
+    assert errors[2] < 3e-4
+    # It lies on the ball.
+    assert float(finest.norm(dim=-1).min()) > 0.25
+    assert float(finest[8, 8].norm()) < 0.2535
