@@ -10,8 +10,8 @@ import numpy as np
 # a quarter of the frame's (AMD EPYC, one thread). The law and the air of a truth cost little beside.
 _VERTICES = (501, 971, 1465, 3029)
 _STEP_SECONDS = (0.037, 0.081, 0.137, 0.53)
-# Of an image with its two masks: drawing the meshes, and every pixel. Measured on the demo's skirt with images
-# of 128, 256 and 512 px: 0.033, 0.075 and 0.141 s, 18, 56 and 163 kB.
+# Of an image with its two masks: drawing the meshes, and every pixel. Measured on the demo's skirt with
+# images of 128, 256 and 512 px: 0.033, 0.075 and 0.141 s, 18, 56 and 163 kB.
 _IMAGE_SECONDS, _PIXEL_SECONDS = 0.035, 4.2e-7
 _IMAGE_BYTES, _PIXEL_BYTES = 8000, 0.6
 # Of a frame of the truth, and of a vertex in it: positions in single precision hardly shrink.
