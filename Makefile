@@ -109,6 +109,13 @@ base-law: setup ## Measure how far base laws miss cloth of an independent engine
 capture-layer: setup ## The simulation layer of moving garments (an hour): docs/results/capture_layer.csv; resumes
 	$(BIN)/python benchmarks/capture_layer.py
 
+# A Python that has newton (pip install newton, in an environment of its own); nothing here depends on it.
+NEWTON_PYTHON ?= $(BIN)/python
+
+.PHONY: newton
+newton: setup ## Our steps beside newton's vertex block descent, if it is there: docs/results/newton_vbd.md
+	$(BIN)/python benchmarks/newton_vbd.py --python $(NEWTON_PYTHON)
+
 # One camera: PRESET=tiny learns nothing and is over in a minute. Everything goes on where it was interrupted.
 PRESET ?= demo
 CAPTURE := outputs/capture/$(PRESET)

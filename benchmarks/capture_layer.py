@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -36,6 +37,8 @@ from toile.capture.garments import Garment, Material, attached_targets
 from toile.capture.garments.patterns import make_dress, make_skirt
 from toile.capture.layer.layer import GRAVITY, LayerSettings, SimulationLayer
 from toile.capture.layer.silhouette import SilhouetteRays
+from toile.capture.layer.workers import LayerWorkers
+from toile.capture.losses.simulation import LayerWindow, window_on_layer
 from toile.capture.motion.procedural import make_motion
 from toile.geometry.mesh import grid_faces
 from toile.geometry.moving_surface import MovingSurface
@@ -53,6 +56,9 @@ CHUNK = 25
 SUBJECT = "default"
 FRICTIONS = (0.0, 0.3, 1.0)
 OWN_FRAMES = 51
+# Every side's vertices are among those of the next.
+DRAPE_SIDES, DRAPE_SIDE, DRAPE_RADIUS, DRAPE_FRAMES = (5, 9, 17, 33), 0.2, 0.25, 46
+BATCH_VERTICES, BATCH_WINDOWS, BATCH_FRAMES, BATCH_REPEATS = (448, 960), 8, 3, 3
 SEEN_MOTION, SEEN_FRAMES, SEEN_VERTICES = "twirl", 31, 450
 
 
@@ -79,12 +85,39 @@ def bodies(motion: str, frames: int = FRAMES) -> Tensor:
     return torch.cat([skin(subject, poses[i : i + 30]) for i in range(0, frames, 30)])[:frames]
 
 
-def penetration(layer: SimulationLayer, body: np.ndarray, cloth: np.ndarray) -> tuple[float, float]:
-    """Deepest vertex of the cloth in the body, and deepest vertex of the body through the cloth [m].
+class Depths(NamedTuple):
+    """How far cloth and body are in each other [m].
 
-    The second is the larger one of two: along the body's normal to the nearest place on the cloth, if that
-    place is in the body (a fold far beside is not), and along a ray inwards to the first face of the cloth.
+    Attributes:
+        vertex: deepest vertex of the cloth in the body.
+        through: deepest vertex of the body through the cloth: the larger one of two, along the body's normal
+            to the nearest place on the cloth, if that place is in the body (a fold far beside is not), and
+            along a ray inwards to the first face of the cloth.
+        surface: deepest place of the cloth in the body, of its faces as well: what lies between the vertices
+            of both, and no other measure sees.
     """
+
+    vertex: float
+    through: float
+    surface: float
+
+
+# Places in a face, an eighth of its edges apart.
+PARTS_OF_EDGE = 8
+IN_FACE = (
+    np.array(
+        [
+            (i, j, PARTS_OF_EDGE - i - j)
+            for i in range(PARTS_OF_EDGE + 1)
+            for j in range(PARTS_OF_EDGE + 1 - i)
+        ]
+    )
+    / PARTS_OF_EDGE
+)
+
+
+def penetration(layer: SimulationLayer, body: np.ndarray, cloth: np.ndarray) -> Depths:
+    """See Depths; attached vertices, and places in faces that are mostly theirs, are left out."""
     contact = layer.contact
     contact.body.move(body)
     found = contact.surface(cloth[contact.loose], 0.08)
@@ -99,7 +132,17 @@ def penetration(layer: SimulationLayer, body: np.ndarray, cloth: np.ndarray) -> 
     every.move(cloth)
     hits = every.hits(points[near], -normals[near], 0.03)
     through = max(-gaps.min(initial=0.0), hits[np.isfinite(hits)].max(initial=0.0))
-    return max(0.0, -float(found.distances.min(initial=0.0))), float(through)
+    # No place is farther from the body's inside than the middle of its face less its way from there.
+    faces = contact.cloth.faces
+    middles = cloth[faces].mean(1)
+    widths = np.linalg.norm(cloth[faces] - middles[:, None], axis=2).max(1)
+    around = contact.body.nearest(middles, 0.08)
+    faces = faces[around.which[around.distances < widths[around.which]]]
+    movable = contact.free[faces] @ IN_FACE.T > 0.2
+    places = np.einsum("pk,tkd->tpd", IN_FACE, cloth[faces])[movable]
+    within = contact.surface(places, 0.08)
+    deepest = [max(0.0, -float(near.distances.min(initial=0.0))) for near in (found, within)]
+    return Depths(deepest[0], float(through), deepest[1])
 
 
 def run(garment_name: str, motion_name: str, vertices: int = VERTICES, frames: int = FRAMES) -> dict:
@@ -120,22 +163,16 @@ def run(garment_name: str, motion_name: str, vertices: int = VERTICES, frames: i
             begin, cpu = time.perf_counter(), time.process_time()
             motion = layer.simulate(body[first : last + 1], FPS, SUBSTEPS, x, v)
             cpu, wall = time.process_time() - cpu, time.perf_counter() - begin
-            numpy_body = body.numpy()
-            depths = [
-                penetration(layer, numpy_body[first + k], motion.garment_positions[k])
-                for k in range(1, last - first + 1)
-            ]
             targets = attached_targets(garment, body[first : last + 1], subject.faces).numpy()
             held = motion.garment_positions[:, garment.attached.numpy()] - targets
             file.parent.mkdir(parents=True, exist_ok=True)
             partial_file = file.with_suffix(".partial.npz")
             np.savez(
                 partial_file,
-                positions=motion.garment_positions[-1],
+                positions=motion.garment_positions[1:],
                 velocities=motion.velocities,
                 converged=motion.converged,
                 newton=motion.newton_steps,
-                depths=np.array(depths),
                 energy=np.stack((motion.kinetic, motion.elastic, motion.gravitational)),
                 waist=np.linalg.norm(held[1:], axis=-1).max(initial=0.0),
                 seconds=np.array([cpu, wall]),
@@ -146,8 +183,9 @@ def run(garment_name: str, motion_name: str, vertices: int = VERTICES, frames: i
             )
         with np.load(file) as found:
             chunks.append(dict(found))
-        x, v = torch.from_numpy(chunks[-1]["positions"]), torch.from_numpy(chunks[-1]["velocities"])
-    depths = np.concatenate([chunk["depths"] for chunk in chunks])
+        x, v = torch.from_numpy(chunks[-1]["positions"][-1]), torch.from_numpy(chunks[-1]["velocities"])
+    moved = np.concatenate([chunk["positions"] for chunk in chunks])
+    depths = np.array([penetration(layer, *pair) for pair in zip(body[1:].numpy(), moved, strict=True)])
     energy = np.concatenate([chunk["energy"][:, 1:] for chunk in chunks], 1)
     cpu, wall = sum(chunk["seconds"] for chunk in chunks)
     converged = np.concatenate([chunk["converged"] for chunk in chunks])
@@ -161,6 +199,7 @@ def run(garment_name: str, motion_name: str, vertices: int = VERTICES, frames: i
         "converged_share": float(converged.mean()),
         "penetration_max_mm": 1e3 * abs(float(depths[:, 0].max())),
         "penetration_body_through_cloth_mm": 1e3 * abs(float(depths[:, 1].max())),
+        "penetration_surface_mm": 1e3 * float(depths[:, 2].max()),
         "waist_error_mm": 1e3 * float(max(chunk["waist"] for chunk in chunks)),
         "seconds_per_frame": float(cpu) / (frames - 1),
         "wall_seconds_per_frame": float(wall) / (frames - 1),
@@ -234,8 +273,48 @@ def through_itself(garment_name: str, motion_name: str, own: OwnContactSettings 
         "converged_share": float(motion.converged.mean()),
         "penetration_max_mm": 1e3 * float(depths[:, 0].max()),
         "penetration_body_through_cloth_mm": 1e3 * abs(float(depths[:, 1].max())),
+        "penetration_surface_mm": 1e3 * float(depths[:, 2].max()),
         "newton_steps": float(motion.newton_steps.mean()),
         "seconds_per_frame": cpu / (OWN_FRAMES - 1),
+    }
+
+
+def drape() -> Iterator[Case]:
+    """A square sheet that falls on a sphere and comes to rest, finer and finer."""
+    for n in DRAPE_SIDES:
+        yield f"drape_{n}", partial(refined, n)
+
+
+@cache
+def draped(n: int) -> tuple[np.ndarray, float, float]:
+    """Where a sheet of n² vertices rests on a sphere, its speed [m/s] there, and share of steps converged."""
+    # Soft enough in its plane to lie on a sphere without folds, of which there would be several.
+    soft = Material(young=50.0, bending=3e-4, friction=0.3)
+    garment = replace(sheet(DRAPE_SIDE, n, 0.0, DRAPE_RADIUS + 0.008), material=soft)
+    mesh = trimesh.creation.icosphere(5, DRAPE_RADIUS)
+    layer = SimulationLayer(garment, torch.from_numpy(np.array(mesh.faces, np.int64)))
+    still = torch.from_numpy(np.array(mesh.vertices)).expand(DRAPE_FRAMES, -1, -1)
+    motion = layer.simulate(still, FPS, 1)
+    speed = float(np.linalg.norm(motion.velocities, axis=1).max())
+    return motion.garment_positions[-1], speed, float(motion.converged.mean())
+
+
+def refined(n: int) -> dict:
+    """Distance of a sheet's vertices to those at the same places of the finest one."""
+    x, speed, converged = draped(n)
+    finest = DRAPE_SIDES[-1]
+    every = (finest - 1) // (n - 1)
+    there = draped(finest)[0].reshape(finest, finest, 3)[::every, ::every].reshape(-1, 3)
+    away = np.linalg.norm(x - there, axis=1)
+    return {
+        "vertices": n * n,
+        "edge_mm": 1e3 * DRAPE_SIDE / (n - 1),
+        "error_rms_mm": 1e3 * float(np.sqrt(np.square(away).mean())),
+        "error_max_mm": 1e3 * float(away.max()),
+        "lowest_mm": 1e3 * float(x[:, 1].min()),
+        "nearest_to_sphere_mm": 1e3 * float(np.linalg.norm(x, axis=1).min() - DRAPE_RADIUS),
+        "speed_mm_per_s": 1e3 * speed,
+        "converged_share": converged,
     }
 
 
@@ -249,15 +328,19 @@ def friction() -> Iterator[Case]:
 
 
 def patch(size: float, tilt: float, lift: float, mu: float) -> Garment:
-    """A square of cloth that is held nowhere, at a height over the origin and turned about z with it."""
-    at = torch.linspace(-size / 2, size / 2, 3, dtype=torch.float64)
+    """A square of nine vertices for friction, see ``sheet``."""
+    return replace(sheet(size, 3, tilt, lift), material=Material(young=200.0, bending=1e-3, friction=mu))
+
+
+def sheet(size: float, n: int, tilt: float, lift: float) -> Garment:
+    """A square of n² vertices, held nowhere, at a height over the origin and turned about z with it."""
+    at = torch.linspace(-size / 2, size / 2, n, dtype=torch.float64)
     z, x = torch.meshgrid(at, at, indexing="ij")
     flat = torch.stack((x, torch.full_like(x, lift), z), -1).reshape(-1, 3)
     c, s = np.cos(tilt), np.sin(tilt)
     turn = torch.tensor([[c, s, 0], [-s, c, 0], [0, 0, 1]], dtype=torch.float64)
     none, index = torch.zeros(0, 3, dtype=torch.float64), torch.zeros(0, dtype=torch.int64)
-    material = Material(young=200.0, bending=1e-3, friction=mu)
-    return Garment(flat @ turn.T, grid_faces(3, 3), index, index, none, none, material)
+    return Garment(flat @ turn.T, grid_faces(n, n), index, index, none, none)
 
 
 def resting(pressure: float) -> float:
@@ -321,6 +404,64 @@ def on_a_sphere(mu: float) -> dict:
     }
 
 
+def batches() -> Iterator[Case]:
+    """Windows of a training's batch, one after the other and in two processes."""
+    for n in BATCH_VERTICES:
+        for count in (1, 2):
+            yield f"batch_{n}_{count}", partial(in_processes, n, count)
+
+
+@cache
+def windows(vertices: int) -> tuple[Garment, list[LayerWindow]]:
+    """Skirt, and windows of its walk, 10 to 80 frames from the start."""
+    subject = load_subject(SUBJECT)
+    garment = make_skirt(subject, vertices)
+    body = bodies("walk", 31)
+    motion = SimulationLayer.of(garment, subject).simulate(body, FPS, 1)
+    x = torch.from_numpy(motion.garment_positions)
+    begins = np.linspace(5, 31 - BATCH_FRAMES, BATCH_WINDOWS).astype(int)
+    return garment, [
+        LayerWindow(x[k : k + BATCH_FRAMES], body[k : k + BATCH_FRAMES], FPS, 1) for k in map(int, begins)
+    ]
+
+
+def timed_window(layer: SimulationLayer, window: LayerWindow) -> tuple[Tensor, float]:
+    """What a layer makes of a window, and seconds of the processor."""
+    cpu = time.process_time()
+    positions = window_on_layer(layer, window).positions
+    return positions, time.process_time() - cpu
+
+
+def in_processes(vertices: int, count: int) -> dict:
+    """Time of a batch of windows, and whether its digits are those of one process."""
+    garment, asked = windows(vertices)
+    layer = SimulationLayer.of(garment, load_subject(SUBJECT))
+    window_on_layer(layer, asked[0])
+    alone = [window_on_layer(layer, window).positions for window in asked]
+    with LayerWorkers(layer, count) as workers:
+        begin = time.perf_counter()
+        workers.map(timed_window, asked)
+        first = time.perf_counter() - begin
+        walls, own = [], []
+        for _ in range(BATCH_REPEATS):
+            begin, cpu = time.perf_counter(), time.process_time()
+            found = workers.map(timed_window, asked)
+            walls.append(time.perf_counter() - begin)
+            of_this = time.process_time() - cpu
+            own.append(of_this if count == 1 else of_this + sum(seconds for _, seconds in found))
+    return {
+        "vertices": layer.cloth.n_vertices,
+        "windows": len(asked),
+        "frames": BATCH_FRAMES,
+        "processes": count,
+        "first_batch_seconds": first,
+        "wall_seconds": min(walls),
+        "slowest_wall_seconds": max(walls),
+        "cpu_seconds": min(own),
+        "same_digits": all(torch.equal(x, y) for x, (y, _) in zip(alone, found, strict=True)),
+    }
+
+
 def silhouettes() -> Iterator[Case]:
     """Error to the truth of a skirt whose stiffness is a third, or three times, of what is true."""
     for factor in (1 / 3, 3.0):
@@ -377,7 +518,8 @@ PARTS: dict[str, tuple[str, Callable[[], Iterator[Case]]]] = {
     "motions": (
         "4 sub-steps at 30 frames a second. Penetration of garment vertices in the body; of body "
         "vertices through the garment, the larger of two measures (nearest place on the garment along the "
-        "body's normal, where it is in the body; ray inwards). Attached vertices against where the body "
+        "body's normal, where it is in the body; ray inwards); of places in the garment's faces, an eighth "
+        "of their edges apart, in the body (surface). Attached vertices against where the body "
         "takes them. Seconds of the processor, one thread; energies in millijoule.",
         motions,
     ),
@@ -387,10 +529,24 @@ PARTS: dict[str, tuple[str, Callable[[], Iterator[Case]]]] = {
         "without. Crossings: edges times faces of the garment that go through each other in a frame.",
         own_contact,
     ),
+    "drape": (
+        f"A square sheet of {1e3 * DRAPE_SIDE:g} mm that falls on a sphere of {1e3 * DRAPE_RADIUS:g} mm "
+        f"radius (50 N/m, 3e-4 J, friction 0.3) and rests after {(DRAPE_FRAMES - 1) / FPS:g} s: its vertices "
+        "against those at the same places of the finest sheet. Heights are above the sphere's middle; "
+        "vertices keep 3 mm from the sphere.",
+        drape,
+    ),
     "friction": (
         "Way of a patch of cloth on a plane, as its acceleration, and on a sphere. What sticks creeps below "
         "5 mm/s.",
         friction,
+    ),
+    "batches": (
+        f"A batch of {BATCH_WINDOWS} windows of a training ({BATCH_FRAMES} frames, one sub-step per frame), "
+        f"one after the other and in two processes: the fastest and the slowest of {BATCH_REPEATS} on two "
+        "cores that others use as well. The first batch starts the processes. Seconds of the processor are "
+        "those of all processes.",
+        batches,
     ),
     "silhouettes": (
         f"Eq. 1 with another stiffness than the truth's: error of free vertices over the second half of "

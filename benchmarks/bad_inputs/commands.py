@@ -57,6 +57,24 @@ CASES = [
         ("capture", "data", "settings.motions=[moonwalk]", "folder=people"),
         says=("moonwalk", "walk"),
     ),
+    Case(
+        GROUP,
+        "capture: motion file that is none",
+        ("capture", "data", "motion=file", "motion.path=clip.bvh", "folder=people"),
+        says=("clip.bvh", "missing"),
+    ),
+    Case(
+        GROUP,
+        "capture: motion file of another kind",
+        ("capture", "data", "motion=file", "motion.path=clip.mp4", "folder=people"),
+        says=("clip.mp4", ".bvh"),
+    ),
+    Case(
+        GROUP,
+        "capture: dry run of a page",
+        ("capture", "page", "run=nowhere", "dry_run=true"),
+        says=("dry_run",),
+    ),
     Case(GROUP, "capture: page of no data set", ("capture", "page", "run=nowhere"), says=("nowhere",)),
     Case(
         GROUP,

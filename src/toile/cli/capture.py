@@ -29,12 +29,17 @@ def run(cfg: DictConfig) -> None:
         raise InputError(
             "No such action", where="toile capture", expected=", ".join(actions), got=str(cfg.action)
         )
+    if cfg.dry_run and str(cfg.action) != "data":
+        raise InputError("Nothing to try", where="dry_run", expected="false, but for data", got="true")
     actions[str(cfg.action)](cfg)
 
 
 def _data(cfg: DictConfig) -> None:
-    """Make a data set, or complete one."""
+    """Make a data set, or complete one; or say only what it would be."""
     domain = instantiate(cfg.domain)
+    if cfg.dry_run:
+        print("\n".join(domain.estimate().lines()))
+        return
     with Shown(log) as progress:
         print_path(make_data(domain, Path(str(cfg.folder)), progress))
 

@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import logging
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -138,6 +139,8 @@ def _stage(
         stage_settings = instantiate(cfg.stages[name])
         networks = _networks(name, data, settings, int(cfg.seed), before)
         stage = _STAGES[name](stage_settings, networks, data, int(cfg.seed))
+        if isinstance(stage, PhysicsStage):
+            stage.share((os.cpu_count() or 1) if int(cfg.workers) < 0 else int(cfg.workers))
         description = _description(cfg, stage, before)
         _claim(folder, description)
         if weights.is_file():

@@ -14,7 +14,7 @@ import hydra.utils
 import yaml
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.types import QuotedString
-from omegaconf import Container, DictConfig, OmegaConf
+from omegaconf import Container, DictConfig, ListConfig, OmegaConf
 
 from toile.cli.commands import COMMANDS
 from toile.cli.path_arguments import UNREADABLE, exists, parsed, quoted
@@ -37,9 +37,15 @@ _SCENE_TARGETS = {
 
 
 def register_resolvers() -> None:
-    """Make ``${basename:path}`` and ``${summary:command}`` known; may be called again."""
+    """Make ``${basename:path}``, ``${file_names:paths}`` and ``${summary:command}`` known, once or again."""
     OmegaConf.register_new_resolver("basename", lambda path: Path(str(path)).name, replace=True)
+    OmegaConf.register_new_resolver("file_names", _file_names, replace=True)
     OmegaConf.register_new_resolver("summary", lambda name: COMMANDS[name].summary, replace=True)
+
+
+def _file_names(paths: str | ListConfig) -> ListConfig:
+    """Names of files without their suffixes."""
+    return ListConfig([Path(str(path)).stem for path in ([paths] if isinstance(paths, str) else paths)])
 
 
 def flags_first(arguments: Sequence[str]) -> list[str]:

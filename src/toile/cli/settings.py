@@ -40,6 +40,7 @@ COMMAND_SETTINGS: Mapping[str, Any] = {
     "report.page": bool,
     "fixed_effects": tuple[str, ...] | None,
     "force": bool,
+    "dry_run": bool,
     "simulator.substeps": Annotated[Count, Unit("per frame")] | None,
     "simulator.longest_substep": Annotated[Positive, Unit("s")],
     "simulator.largest_time_error": Annotated[Positive, Unit("s")],

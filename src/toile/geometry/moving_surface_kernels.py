@@ -1,12 +1,21 @@
 """Warp kernels of the questions to a moving surface."""
 
 # Kernels are Python in syntax only: arrays and numbers follow Warp's own typing rules.
-# mypy: disable-error-code="arg-type, attr-defined, no-untyped-def, operator, valid-type"
+# mypy: disable-error-code="arg-type, attr-defined, index, no-untyped-def, operator, valid-type"
 
 import warp as wp
 
 # Closer than this to the surface [m] the way to the nearest point is the face's normal.
 _CLOSE = 1.0e-7
+
+# Beyond the rounding of single precision within some metres [m].
+_SINGLE = wp.constant(wp.float32(2.0e-6))
+
+# Faces that share the nearest edge or corner are as near as each other, but for rounding [m].
+_TIE = wp.constant(wp.float64(1.0e-12))
+
+# Points and weights nearer than this to each other are the same.
+_SAME = wp.constant(wp.float64(1.0e-9))
 
 # How far behind each other two walls of a crease may be [m].
 _FLAT = 1.0e-3
@@ -47,6 +56,69 @@ def place_on_triangle(p: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):  # no
     return wp.vec3d(va * scale, vb * scale, vc * scale)
 
 
+@wp.func
+def place_on_face(
+    p: wp.vec3d,
+    vertices: wp.array(dtype=wp.vec3d),
+    triangles: wp.array(dtype=wp.int32, ndim=2),
+    face: wp.int32,
+):
+    """Barycentric coordinates of the point of a face nearest to p."""
+    return place_on_triangle(
+        p, vertices[triangles[face, 0]], vertices[triangles[face, 1]], vertices[triangles[face, 2]]
+    )
+
+
+@wp.func
+def point_of_face(
+    w: wp.vec3d,
+    vertices: wp.array(dtype=wp.vec3d),
+    triangles: wp.array(dtype=wp.int32, ndim=2),
+    face: wp.int32,
+):
+    """Point of a face at barycentric coordinates w."""
+    return (
+        w[0] * vertices[triangles[face, 0]]
+        + w[1] * vertices[triangles[face, 1]]
+        + w[2] * vertices[triangles[face, 2]]
+    )
+
+
+@wp.func
+def normal_at(
+    mesh: wp.uint64,
+    on: wp.vec3d,
+    vertices: wp.array(dtype=wp.vec3d),
+    triangles: wp.array(dtype=wp.int32, ndim=2),
+):
+    """Normal of the surface at a point on an edge or a corner: its faces' there, by their angles.
+
+    Of those faces alone that meet in it; others at the same distance from whoever asks say nothing.
+    """
+    total = wp.vec3d()
+    at = wp.vec3f(wp.float32(on[0]), wp.float32(on[1]), wp.float32(on[2]))
+    box = wp.vec3f(_SINGLE, _SINGLE, _SINGLE)
+    query = wp.mesh_query_aabb(mesh, at - box, at + box)
+    face = wp.int32(0)
+    one = wp.float64(1.0) - _SAME
+    while wp.mesh_query_aabb_next(query, face):
+        w = place_on_face(on, vertices, triangles, face)
+        if wp.length(on - point_of_face(w, vertices, triangles, face)) < _SAME:
+            a = vertices[triangles[face, 0]]
+            b = vertices[triangles[face, 1]]
+            c = vertices[triangles[face, 2]]
+            # Half a turn along an edge.
+            angle = wp.float64(wp.PI)
+            if w[0] > one:
+                angle = wp.acos(wp.clamp(wp.dot(wp.normalize(b - a), wp.normalize(c - a)), -one, one))
+            if w[1] > one:
+                angle = wp.acos(wp.clamp(wp.dot(wp.normalize(c - b), wp.normalize(a - b)), -one, one))
+            if w[2] > one:
+                angle = wp.acos(wp.clamp(wp.dot(wp.normalize(a - c), wp.normalize(b - c)), -one, one))
+            total += wp.normalize(wp.cross(b - a, c - a)) * angle
+    return total
+
+
 @wp.kernel(enable_backward=False)
 def nearest_places(
     mesh: wp.uint64,
@@ -61,37 +133,48 @@ def nearest_places(
     normals: wp.array(dtype=wp.vec3d),
     distances: wp.array(dtype=wp.float64),
 ):
-    """Nearest face (-1: none within reach) by single precision, and the nearest point on it by double."""
+    """Nearest face (-1: none within reach) and the nearest point on it, the same whatever the tree is."""
     i = wp.tid()
     p = points[i]
     asked = wp.vec3f(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2]))
     face = wp.int32(-1)
-    sign = wp.float64(1.0)
-    if with_sign:
-        found = wp.mesh_query_point_sign_normal(mesh, asked, reach)
-        if found.result:
-            face = found.face
-            sign = wp.float64(found.sign)
-    else:
-        other = wp.mesh_query_point_no_sign(mesh, asked, reach)
-        if other.result:
-            face = other.face
-    faces[i] = face
+    found = wp.mesh_query_point_no_sign(mesh, asked, reach)
+    if found.result:
+        face = found.face
     if face < 0:
+        faces[i] = face
         return
+    w = place_on_face(p, vertices, triangles, face)
+    least = wp.length(p - point_of_face(w, vertices, triangles, face))
+    # Which of several faces at nearly one distance it is depends on the tree, and so on where the mesh was
+    # first. Among all that may be nearest double precision decides, and their numbers where it can't.
+    half = wp.float32(least) + _SINGLE
+    box = wp.vec3f(half, half, half)
+    query = wp.mesh_query_aabb(mesh, asked - box, asked + box)
+    other_face = wp.int32(0)
+    while wp.mesh_query_aabb_next(query, other_face):
+        v = place_on_face(p, vertices, triangles, other_face)
+        length = wp.length(p - point_of_face(v, vertices, triangles, other_face))
+        if length < least - _TIE or (length <= least + _TIE and other_face < face):
+            least = length
+            face = other_face
+            w = v
+    faces[i] = face
     a = vertices[triangles[face, 0]]
     b = vertices[triangles[face, 1]]
     c = vertices[triangles[face, 2]]
-    w = place_on_triangle(p, a, b, c)
     on = w[0] * a + w[1] * b + w[2] * c
     away = p - on
     length = wp.length(away)
+    sign = wp.float64(1.0)
     normal = wp.normalize(wp.cross(b - a, c - a))
     if length > wp.float64(_CLOSE):
-        across = wp.dot(away, normal)
-        # Single precision may take a point just beside the surface for one on the other side.
-        if wp.min(wp.min(w[0], w[1]), w[2]) > wp.float64(0.0) and with_sign:
-            sign = wp.sign(across)
+        if with_sign:
+            outwards = normal
+            if wp.min(wp.min(w[0], w[1]), w[2]) <= wp.float64(0.0):
+                outwards = normal_at(mesh, on, vertices, triangles)
+            if wp.dot(away, outwards) < wp.float64(0.0):
+                sign = wp.float64(-1.0)
         normal = away * (sign / length)
     weights[i] = w
     nearest[i] = on
@@ -143,7 +226,8 @@ def other_walls(
             between = on - walls[i]
             crease = wp.dot(between, directions[i]) > wp.float64(-_FLAT)
             crease = crease and wp.dot(between, normal) < wp.float64(_FLAT)
-            if crease and length < least and wp.abs(across) >= wp.float64(0.7) * length:
+            nearer = length < least - _TIE or (length <= least + _TIE and face < faces[i])
+            if crease and nearer and wp.abs(across) >= wp.float64(0.7) * length:
                 least = length
                 sign = wp.where(across < wp.float64(0.0), wp.float64(-1.0), wp.float64(1.0))
                 if length > wp.float64(_CLOSE):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -89,7 +89,7 @@ class LinearizableSimulator(Simulator):
         terms: Sequence[SceneTerms],
         *,
         linearize: bool,
-    ) -> list[StepSolution]:
+    ) -> Sequence[StepSolution]:
         """The steps of a batch; arguments as in minimise_incremental_potential, with an axis B in front.
 
         Step terms come per scene; ``SceneTerms.prepare`` goes before whatever the assembly is asked.
@@ -136,9 +136,16 @@ class LinearizableSimulator(Simulator):
                 for solution, now in zip(solutions, contexts, strict=True)
             ]
         found = torch.from_numpy(np.stack([s.positions for s in solutions]))
-        forces = self._with_hidden_gradients(forces, state, contexts, formula, prediction, found)
         positions = self._with_gradients(
-            state, inertia, solutions, scenes, found, prediction, stiffness, forces, boundary
+            state,
+            inertia,
+            solutions,
+            scenes,
+            found,
+            prediction,
+            stiffness,
+            lambda x: self._with_hidden_gradients(forces, state, contexts, formula, prediction, x),
+            boundary,
         )
         new_history = torch.cat((positions[:, None], history), dim=1)[:, : self.n_past + 1]
         d = torch.tensor(formula.velocity, dtype=history.dtype)
@@ -155,19 +162,21 @@ class LinearizableSimulator(Simulator):
         self,
         state: State,
         inertia: Array,
-        solutions: list[StepSolution],
+        solutions: Sequence[StepSolution],
         scenes: list[SceneTerms],
         found: Tensor,
         prediction: Tensor,
         stiffness: Tensor,
-        forces: Tensor,
+        forces: Callable[[Tensor], Tensor],
         boundary: Tensor,
     ) -> Tensor:
-        """The positions that the step has found (B, N, 3) [m], with the derivative of the minimum."""
-        positions: Tensor = _ImplicitStep.apply(
-            self, inertia, solutions, scenes, found, prediction, stiffness, forces, boundary
+        """The positions that the step has found (B, N, 3) [m], with the derivative of the minimum.
+
+        The forces are those at given positions (B, N, 3), see ``_with_hidden_gradients``.
+        """
+        return implicit_positions(
+            self, inertia, solutions, scenes, found, prediction, stiffness, forces(found), boundary
         )
-        return positions
 
     @property
     def inertia(self) -> NDArray[np.float64]:
@@ -246,6 +255,36 @@ class LinearizableSimulator(Simulator):
                 )
 
 
+def implicit_positions(
+    simulator: LinearizableSimulator,
+    inertia: Array,
+    solutions: Sequence[StepSolution],
+    scenes: list[SceneTerms],
+    found: Tensor,
+    prediction: Tensor,
+    stiffness: Tensor,
+    forces: Tensor,
+    boundary: Tensor,
+) -> Tensor:
+    """Minima (B, N, 3) [m] of a step, differentiable by the implicit function theorem.
+
+    Args:
+        simulator: whose minima.
+        inertia: masses / (β h)², (N,) [kg/s²].
+        solutions: of every scene.
+        scenes: what else acts in them, as it was at the minima.
+        found: the minima, without gradients.
+        prediction: x̂ (B, N, 3) [m].
+        stiffness: (B, C) coefficients of the energies.
+        forces: f (B, N, 3) [N].
+        boundary: positions of the pinned vertices (B, n_pinned, 3) [m].
+    """
+    positions: Tensor = _ImplicitStep.apply(
+        simulator, inertia, solutions, scenes, found, prediction, stiffness, forces, boundary
+    )
+    return positions
+
+
 def extrapolations(now: Tensor, past: Tensor) -> list[Tensor]:
     """Linear and, if the past is long enough, quadratic continuation of a motion.
 
@@ -277,7 +316,7 @@ class _ImplicitStep(torch.autograd.Function):
         ctx: Any,
         simulator: LinearizableSimulator,
         inertia: NDArray[np.float64],
-        solutions: list[StepSolution],
+        solutions: Sequence[StepSolution],
         scenes: list[SceneTerms],
         positions: Tensor,
         prediction: Tensor,

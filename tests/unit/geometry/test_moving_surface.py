@@ -70,3 +70,41 @@ def test_rays_hit_what_is_before_them() -> None:
     hits = surface.hits(starts, np.array([[1.0, 0, 0], [-1.0, 0, 0]]), 5.0)
     assert abs(hits[0] - 0.9) < 1e-3
     assert np.isinf(hits[1])
+
+
+def test_answers_do_not_depend_on_where_the_surface_was_before() -> None:
+    """The tree of boxes is made once; above edges and corners it meets the faces in an order of its own."""
+    vertices, faces = ball((0.0, 0.0, 0.0))
+    edges = vertices[np.unique(np.sort(faces[:, [0, 1]], 1), axis=0)].mean(1)
+    points = 1.1 * np.concatenate((vertices, edges))
+    turned = vertices[:, [1, 2, 0]] * (3.0, 0.2, 1.0)
+    for signed in (True, False):
+        answers = []
+        for first in (vertices, turned):
+            surface = MovingSurface(len(vertices), faces)
+            surface.move(first)
+            surface.move(vertices)
+            answers.append(surface.nearest(points, 0.1, signed=signed))
+        np.testing.assert_array_equal(answers[0].faces, answers[1].faces)
+        np.testing.assert_array_equal(answers[0].normals, answers[1].normals)
+
+
+def test_sides_are_told_halfway_between_two_bodies() -> None:
+    """Edges of both are equally near, and their normals cancel each other; inside a thin one as well."""
+    apart = [trimesh.creation.box((0.02, 0.4, 0.4)) for _ in range(2)]
+    for box, side in zip(apart, (-1, 1), strict=True):
+        box.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 4, (0, 1, 0)))
+        box.apply_translation((0.2 * side, 0.0, 0.0))
+    both = trimesh.util.concatenate(apart)
+    surface = MovingSurface(len(both.vertices), np.array(both.faces, np.int64))
+    surface.move(np.array(both.vertices))
+    generator = np.random.default_rng(0)
+    between = np.column_stack((np.zeros(50), generator.uniform(-0.15, 0.15, 50), np.full(50, 0.1414)))
+    within = np.array(apart[0].triangles_center).mean(0) + np.zeros((50, 3))
+    within[:, 1] = generator.uniform(-0.15, 0.15, 50)
+    expected = igl.signed_distance(
+        np.concatenate((between, within)), np.array(both.vertices), np.array(both.faces, np.int64)
+    )[0]
+    found = surface.nearest(np.concatenate((between, within)), 1.0)
+    np.testing.assert_allclose(found.distances, expected, rtol=0, atol=1e-9)
+    assert np.sign(expected).tolist() == [1.0] * 50 + [-1.0] * 50

@@ -18,9 +18,11 @@ import numpy.typing as npt
 import torch
 
 from toile.capture.data.clips import PlannedClip, Truth
+from toile.capture.data.estimate import Estimate
 from toile.capture.data.filming import Looks, TexturedPair, detected, view_of
 from toile.capture.data.own import CaptureSettings, OwnDomain, Pattern
 from toile.capture.garments.garment import attached_targets
+from toile.capture.motion.source import MotionSource
 from toile.generation.blender import process
 from toile.generation.blender.exposure import srgb
 from toile.generation.textures import procedural_texture
@@ -177,6 +179,7 @@ class BlenderDomain(OwnDomain):
         cycles: see Cycles.
         python: interpreter that has bpy; None for the one of TOILE_BLENDER_PYTHON, else the running one.
         threads: of Blender.
+        motion: where the motions come from.
     """
 
     NAME = "blender"
@@ -191,10 +194,19 @@ class BlenderDomain(OwnDomain):
         cycles: Cycles,
         python: str | None = None,
         threads: Count = 1,
+        motion: MotionSource | None = None,
     ) -> None:
-        super().__init__(settings, garment, renderer)
+        super().__init__(settings, garment, renderer, motion)
         self.stage, self.cloth, self.cycles = stage, cloth, cycles
         self.python, self.threads = python, threads
+
+    def cameras(self) -> tuple[Camera, ...]:
+        """See OwnDomain; the stage may want fewer."""
+        return self.stage.cameras(super().cameras())
+
+    def estimate(self) -> Estimate:
+        """See OwnDomain; steps are those of Blender, whose time is not known."""
+        return replace(super().estimate(), substeps=self.cloth.steps, simulated=False)
 
     def describe(self) -> Mapping[str, Any]:
         """See Domain.
@@ -257,7 +269,7 @@ class BlenderDomain(OwnDomain):
         rng = plan.stream(_FILM)
         looks = Looks.random(rng, self.settings.ring.side)
         looks = replace(looks, texture=self.stage.dressed(looks.texture))
-        cameras = self.stage.cameras(self.settings.ring.cameras())
+        cameras = self.cameras()
         pair = TexturedPair(truth, looks)
         views = []
         with tempfile.TemporaryDirectory(prefix="toile-blender-") as scratch:

@@ -15,15 +15,17 @@ from pydantic import Field
 from toile.capture.body.skinning import skin
 from toile.capture.body.subject import Subject, load_subject
 from toile.capture.data.clips import Domain, Floats, PlannedClip, Truth
+from toile.capture.data.estimate import Estimate
 from toile.capture.data.filming import CameraRing, LandmarkNoise, Looks, film
 from toile.capture.garments.embedding import embed
 from toile.capture.garments.garment import Garment, face_frames
 from toile.capture.garments.own_mesh import OwnMesh
 from toile.capture.garments.patterns import DressPattern, SkirtPattern
 from toile.capture.layer.layer import SimulationLayer
-from toile.capture.motion.procedural import MOTIONS, make_motion
+from toile.capture.motion.source import MotionSource, ProceduralMotions
 from toile.effects.air_drag import AirDrag
 from toile.errors import InputError
+from toile.geometry.camera import Camera
 from toile.limits import Count, Fraction, NonNegative, Positive, Seed, TwoOrMore, Unit
 from toile.physics.energies.membrane import Membrane, StVenantKirchhoff
 from toile.physics.simulator import SimulationError
@@ -91,6 +93,7 @@ class OwnDomain(Domain):
         settings: see CaptureSettings.
         garment: the model's garment, made for the subject.
         renderer: draws the images.
+        motion: where the motions come from.
 
     Raises:
         InputError: a motion that is none.
@@ -105,13 +108,15 @@ class OwnDomain(Domain):
         settings: CaptureSettings,
         garment: Pattern,
         renderer: Renderer,
+        motion: MotionSource | None = None,
     ) -> None:
-        unknown = [name for name in settings.motions if name not in MOTIONS]
+        self.motion = ProceduralMotions() if motion is None else motion
+        unknown = [name for name in settings.motions if name not in self.motion.names]
         if unknown:
             raise InputError(
                 "Unknown motion",
                 where="settings.motions",
-                expected=", ".join(MOTIONS),
+                expected=", ".join(self.motion.names),
                 got=", ".join(unknown),
             )
         self.settings = settings
@@ -122,17 +127,44 @@ class OwnDomain(Domain):
         """See Domain.
 
         Raises:
-            InputError: no such subject, or no garment of this kind that fits.
+            InputError: no such subject, no garment of this kind that fits, or no such motion.
         """
         # Whatever is wrong with them is said before anything is written.
         _ = self.garment, self.true_garment
+        of_motion, s = self.motion.describe(), self.settings
+        for name in dict.fromkeys(s.motions):
+            self.motion.poses(self.subject, name, s.n_frames, s.fps, s.seed)
         kind = type(self.pattern).__name__.removesuffix("Pattern").lower()
         return {
             "domain": self.NAME,
             "settings": asdict(self.settings),
             "garment": {"kind": kind, **asdict(self.pattern)},
             "membrane": self.LAW.__name__,
+            **of_motion,
         }
+
+    def estimate(self) -> Estimate:
+        """What the set will be and take.
+
+        Raises:
+            InputError: see ``describe``.
+        """
+        self.describe()
+        s = self.settings
+        return Estimate(
+            clips=len(self.plans()),
+            frames=s.n_frames,
+            views=len(self.cameras()),
+            side=s.ring.side,
+            substeps=s.world.substeps,
+            body_vertices=len(self.subject.rest_vertices),
+            garment_vertices=len(self.garment.rest_vertices),
+            true_vertices=len(self.true_garment.rest_vertices),
+        )
+
+    def cameras(self) -> tuple[Camera, ...]:
+        """Those that watch."""
+        return self.settings.ring.cameras()
 
     def plans(self) -> Sequence[PlannedClip]:
         """See Domain."""
@@ -186,7 +218,7 @@ class OwnDomain(Domain):
         """Vertices of the body (F, V, 3) [m]."""
         s = self.settings
         seed = int(plan.stream(_MOTION).integers(2**31))
-        return skin(self.subject, make_motion(self.subject, plan.motion, s.n_frames, s.fps, seed))
+        return skin(self.subject, self.motion.poses(self.subject, plan.motion, s.n_frames, s.fps, seed))
 
     def truth(self, plan: PlannedClip) -> Truth:
         """See Domain."""
@@ -225,7 +257,7 @@ class OwnDomain(Domain):
         """See Domain."""
         rng = plan.stream(_FILM)
         looks = Looks.random(rng, self.settings.ring.side)
-        cameras = self.settings.ring.cameras()
+        cameras = self.cameras()
         return film(truth, cameras, looks, self.settings.noise, rng, self._renderer, folder, plan.folder)
 
     def _carried(self, motion: Floats) -> Floats:

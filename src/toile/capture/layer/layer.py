@@ -23,7 +23,7 @@ from toile.capture.layer.silhouette import Outline, SilhouettePotential, Silhoue
 from toile.errors import InputError
 from toile.limits import Count, Fraction, Positive
 from toile.physics.cloth import mesh_cloth
-from toile.physics.contact.body import BodyContact, ContactSettings, FrozenContact
+from toile.physics.contact.body import BodyContact, ContactSettings
 from toile.physics.contact.own import OwnContactSettings
 from toile.physics.energies.membrane import Membrane, NeoHookean
 from toile.physics.implicit.integrators import BackwardEuler
@@ -82,7 +82,6 @@ class LayerStep:
         newton_steps: Newton iterations of all passes together.
         contacts: number of contacts that push at the end, cloth vertices and body vertices.
         residual: largest out-of-balance force on a vertex [N].
-        contact: what touched, as it was in the last solve.
     """
 
     positions: Tensor
@@ -91,7 +90,6 @@ class LayerStep:
     newton_steps: int
     contacts: int
     residual: float
-    contact: FrozenContact
 
 
 @dataclass(frozen=True)
@@ -149,6 +147,7 @@ class SimulationLayer:
     ) -> None:
         self.garment = garment
         self.settings = settings or LayerSettings()
+        self._made_of = (garment, body_faces, inactive, settings, membrane, terms)
         self.body_faces = body_faces
         self._terms = tuple(terms)
         material = garment.material
@@ -176,6 +175,10 @@ class SimulationLayer:
         self._simulators: dict[float, RenewingSimulator] = {}
         self._gravity = torch.zeros(self.cloth.n_vertices, 3, dtype=torch.float64)
         self._gravity[:, 1] = -GRAVITY * self.cloth.masses
+
+    def __reduce__(self) -> tuple[object, ...]:
+        # Trees of boxes live in this process; another one makes its own.
+        return type(self), self._made_of
 
     @staticmethod
     def of(
@@ -206,12 +209,12 @@ class SimulationLayer:
         friction: float | Tensor | None = None,
         attached: Tensor | None = None,
         silhouettes: Sequence[SilhouetteRays] = (),
-        contact: FrozenContact | None = None,
     ) -> LayerStep:
         """One step of implicit Euler.
 
-        Differentiable by everything that is a tensor here but the body, by the implicit function theorem at
-        the solution; the contacts (planes, normal forces of the friction) count as given.
+        Differentiable by everything that is a tensor here, by the implicit function theorem pass by pass:
+        planes and normal forces of the friction follow from body and cloth. Which face, edge or corner is
+        nearest to what counts as given: where that changes there is no derivative.
 
         Args:
             positions: x_n (N, 3) [m], float64.
@@ -223,16 +226,17 @@ class SimulationLayer:
             friction: μ; the garment's if None.
             attached: attached vertices at the end (A, 3) [m]; where the body takes them if None.
             silhouettes: of the step's end, one per view, for Eq. 1.
-            contact: of an earlier step with the same bodies, taken as given; found anew if None.
+
+        Raises:
+            InputError: gradients are asked for where the garment is in contact with itself.
         """
         if friction is None:
             friction = self.garment.material.friction
         begin = positions.detach().numpy()
         ahead = (positions + time_step * velocities).detach().numpy()
-        if contact is None:
-            contact = self.contact.begin(begin, body.numpy(), next_body.numpy(), friction, time_step, ahead)
-        else:
-            contact = contact.again(begin, friction)
+        if self.contact.own is not None:
+            self._refuse_gradients(positions, velocities, body, next_body, material, friction, attached)
+        contact = self.contact.begin(begin, body, next_body, friction, time_step, ahead)
         if attached is None:
             attached = attached_targets(self.garment, next_body, self.body_faces)
         simulator = self._simulator(time_step)
@@ -265,25 +269,7 @@ class SimulationLayer:
             newton_steps=result.iterations[0],
             contacts=contact.pushing(found.detach().numpy()),
             residual=result.residual[0],
-            contact=contact,
         )
-
-    def step_batch(
-        self, positions: Tensor, velocities: Tensor, bodies: Tensor, next_bodies: Tensor, time_step: float
-    ) -> list[LayerStep]:
-        """Steps of B windows, one after the other: the same digits as each alone.
-
-        The pattern of the factorisation is analysed once for all; nothing else could be shared.
-
-        Args:
-            positions: (B, N, 3), see ``step``.
-            velocities: (B, N, 3).
-            bodies: at the begin (B, V, 3).
-            next_bodies: at the end (B, V, 3).
-            time_step: h [s].
-        """
-        scenes = zip(positions, velocities, bodies, next_bodies, strict=True)
-        return [self.step(*scene, time_step) for scene in scenes]
 
     def simulate(
         self,
@@ -356,6 +342,18 @@ class SimulationLayer:
             seconds=np.array(seconds),
             velocities=v.numpy(),
         )
+
+    def _refuse_gradients(self, *inputs: Tensor | Material | float | None) -> None:
+        """Planes between parts of the cloth follow from too much: both sides, and what detection stopped."""
+        tensors = [given.values if isinstance(given, Material) else given for given in inputs]
+        asked = any(isinstance(given, Tensor) and given.requires_grad for given in tensors)
+        if asked and torch.is_grad_enabled():
+            raise InputError(
+                "No gradients through contact of a garment with itself",
+                where="own_contact",
+                expected="none, or inputs that require no gradients",
+                got="both",
+            )
 
     def _check_start(self, x: Tensor, body: Tensor) -> None:
         self.contact.body.move(body.numpy())

@@ -187,8 +187,8 @@ class SilhouettePotential(RenewedPotential):
         """See StepPotential; it is convex."""
         blocks[pattern.diagonal] += self._matrices
 
-    def forces(self, x: Tensor, positions: Tensor) -> Tensor:
-        """See RenewedPotential; nothing here depends on where the step begins."""
+    def forces(self, x: Tensor, positions: Tensor, renewed: Tensor) -> Tensor:
+        """See RenewedPotential; with the pairs given nothing depends on where the cloth was."""
         return torch.from_numpy(-self.gradient(x.detach().numpy()))
 
     def _pairs(self, view: SilhouetteRays, x: Array) -> tuple[Indices, Indices]:

@@ -137,6 +137,34 @@ def simulated_window(
     return SimulatedWindow(torch.stack(simulated), counts)
 
 
+@dataclass(frozen=True)
+class LayerWindow:
+    """A window that a layer simulates.
+
+    Attributes:
+        positions: see ``simulated_window``.
+        bodies: see ``simulated_window``.
+        fps: see LayerFrameStep.
+        substeps: see LayerFrameStep.
+        silhouettes: see LayerFrameStep.
+        through_step: see ``simulated_window``.
+    """
+
+    positions: Tensor
+    bodies: Tensor
+    fps: float
+    substeps: int
+    silhouettes: Sequence[Sequence[SilhouetteRays]] = ()
+    through_step: bool = False
+
+
+def window_on_layer(layer: SimulationLayer, window: LayerWindow) -> SimulatedWindow:
+    """Ṽ of a window by a layer, e.g. in ``LayerWorkers.map``; see ``simulated_window``."""
+    step = LayerFrameStep(layer, window.fps, window.substeps, window.silhouettes)
+    through = window.through_step
+    return simulated_window(window.positions, window.bodies, step, 1 / window.fps, through_step=through)
+
+
 def simulation_loss(positions: Tensor, window: SimulatedWindow) -> Tensor:
     """L_sim = Σ_i Σ_{t>t'} ‖V_i^t - Ṽ_i^t‖², of one window.
 

@@ -11,15 +11,18 @@ import torch
 from torch import Tensor
 
 from toile.capture.layer.layer import LayerSettings, SimulationLayer
+from toile.capture.layer.silhouette import SilhouetteRays
+from toile.capture.layer.workers import LayerWorkers
 from toile.capture.losses.rigidity import rotation_loss
 from toile.capture.losses.simulation import (
-    LayerFrameStep,
+    LayerWindow,
     SimulatedWindow,
-    simulated_window,
     simulation_loss,
+    window_on_layer,
 )
 from toile.capture.training.frames import Sample, TrainingSet
 from toile.capture.training.weights import Networks
+from toile.errors import InputError
 from toile.learning.capture.stage import STATE
 from toile.learning.capture.warm_stage import SimNetStage, WarmSettings
 from toile.limits import Count, CountOrZero, NonNegative, Seed, TwoOrMore
@@ -83,6 +86,7 @@ class PhysicsStage(SimNetStage):
     Attributes:
         frames_counted: simulated frames that converged and so supervised, over all steps of this process.
         frames_simulated: all of them.
+        workers: simulate the windows of a batch; see ``share``.
     """
 
     NAME: ClassVar[str] = "physics"
@@ -92,8 +96,24 @@ class PhysicsStage(SimNetStage):
     def __init__(self, settings: PhysicsSettings, networks: Networks, data: TrainingSet, seed: Seed) -> None:
         super().__init__(settings, networks, data, seed)
         self.layer = SimulationLayer.of(data.garment, data.subject, settings.layer)
+        self.workers = LayerWorkers(self.layer)
         self.frames_counted = self.frames_simulated = 0
         self._memory: list[SimulatedFrames] = []
+
+    def share(self, workers: int) -> None:
+        """Have the windows of a batch simulated by so many processes; the digits stay the same.
+
+        Raises:
+            InputError: gradients flow through the layer, and do not from process to process.
+        """
+        if workers > 1 and self.settings.through_layer:
+            raise InputError(
+                "Gradients through the layer stay within one process",
+                where="workers",
+                expected="1, with through_layer",
+                got=str(workers),
+            )
+        self.workers = LayerWorkers(self.layer, workers)
 
     def terms(self, step: int, rng: np.random.Generator) -> Mapping[str, Tensor]:
         """See Stage."""
@@ -108,24 +128,26 @@ class PhysicsStage(SimNetStage):
             ]
         )
         world, A, _ = self.deformed(batch, images)
-        assert world.body is not None
         earlier = [self._memory[k] for k in _drawn(len(self._memory), s.replays, rng)]
-        losses = []
-        for number, window in enumerate(windows):
-            frames = slice(number * s.window, (number + 1) * s.window)
-            rays = [data.rays(sample) for sample in window] if s.silhouette_rays else ()
-            target = simulated_window(
-                world.garment[frames],
-                world.body[frames],
-                LayerFrameStep(self.layer, data.fps, s.substeps, rays),
-                1 / data.fps,
-                through_step=s.through_layer,
+        assert world.body is not None
+        # What needs no gradients may go to other processes.
+        garment = world.garment if s.through_layer else world.garment.detach()
+        body = world.body if s.through_layer else world.body.detach()
+        asked = [
+            LayerWindow(
+                x, b, data.fps, s.substeps, self._rays(window) if s.silhouette_rays else (), s.through_layer
             )
+            for x, b, window in zip(garment.split(s.window), body.split(s.window), windows, strict=True)
+        ]
+        targets = self.workers.map(window_on_layer, asked)
+        losses = []
+        parts = zip(windows, world.garment.split(s.window), images.split(s.window), targets, strict=True)
+        for window, part, seen, target in parts:
             self.frames_counted += int(target.counts.sum())
             self.frames_simulated += s.window - 1
-            losses.append(simulation_loss(world.garment[frames], target))
+            losses.append(simulation_loss(part, target))
             kept = target.positions.detach(), target.counts
-            self._memory.append(SimulatedFrames(tuple(window), images[frames].detach(), *kept))
+            self._memory.append(SimulatedFrames(tuple(window), seen.detach(), *kept))
         self._memory = self._memory[-s.memory :]
         last = self.last
         losses += self._replayed(earlier)
@@ -138,6 +160,13 @@ class PhysicsStage(SimNetStage):
             "simulation": s.simulation_weight * torch.stack(losses).mean() / (s.window - 1),
             "rotations": s.rotation_weight * rotation_loss(graph, A),
         }
+
+    def teardown(self, stage: str) -> None:
+        """Let the processes go that have simulated."""
+        self.workers.close()
+
+    def _rays(self, window: Sequence[Sample]) -> list[list[SilhouetteRays]]:
+        return [self.data.rays(sample) for sample in window]
 
     def _replayed(self, windows: Sequence[SimulatedFrames]) -> list[Tensor]:
         """Losses of earlier windows against what was simulated then."""

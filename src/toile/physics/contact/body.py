@@ -21,6 +21,7 @@ from toile.geometry.mesh import vertex_normals
 from toile.geometry.moving_surface import MovingSurface, Nearest
 from toile.limits import NonNegative, Positive
 from toile.physics.contact.own import OwnContact, OwnContactSettings
+from toile.physics.contact.pairs import ContactPairs, Rules, contact_forces
 from toile.physics.contact.planes import ContactPlanes, ContactPotential, Penalty, Places
 from toile.physics.implicit.linear_solvers.pattern import BlockPattern
 from toile.physics.implicit.renewed import RenewedPotential
@@ -115,18 +116,26 @@ class BodyContact:
         self.active = np.unique(kept[self._acting])
         self._rim = _rims(topology.n_vertices, topology.faces.numpy(), faces)
         self._kept: tuple[Array, Array] | None = None
+        self.rules = Rules(
+            settings.stiffness,
+            settings.thickness,
+            settings.body_thickness,
+            self.penalty,
+            torch.from_numpy(masses),
+            self._body_faces,
+        )
         self.own = None if own is None else OwnContact(topology, masses, self.free, self.penalty, own)
 
     def begin(
         self,
         positions: Array,
-        body: Array,
-        next_body: Array,
+        body: Array | Tensor,
+        next_body: Array | Tensor,
         friction: float | Tensor,
         time_step: float,
         expected: Array | None = None,
     ) -> StepContact:
-        """Contacts of a step.
+        """Contacts of a step; their forces are differentiable by what are tensors here.
 
         Args:
             positions: x_n (N, 3) [m].
@@ -155,16 +164,17 @@ class BodyContact:
 
     def faces_and_edges(
         self, points: Array, normals: Array, reach: float, x: Array
-    ) -> tuple[Nearest, Array, Places]:
+    ) -> tuple[Nearest, Array, Places, Indices]:
         """See ``facing``; and places beside the points on edges of faces that are seen edge-on, or end there.
 
-        The cloth is at x (N, 3) [m].
+        The cloth is at x (N, 3) [m]. The last are the points that those places are beside.
         """
         found = self.cloth.nearest(points, reach, signed=False)
         some, gaps, face_on = self._facing(points, normals, found)
         across = np.flatnonzero(~face_on)
         which, faces = found.which[across], self.cloth.faces[found.faces[across]]
-        return some, gaps, self._beside(points[which], normals[which], faces, x)
+        places, kept = self._beside(points[which], normals[which], faces, x)
+        return some, gaps, places, which[kept]
 
     def _facing(
         self, points: Array, normals: Array, found: Nearest
@@ -178,8 +188,11 @@ class BodyContact:
         kept = np.flatnonzero(face_on & movable)
         return found.some(kept), gaps[kept], face_on
 
-    def _beside(self, points: Array, normals: Array, faces: Indices, x: Array) -> Places:
-        """Where the edges of faces (M, 3) pass the lines through points (M, 3) along normals, if below."""
+    def _beside(self, points: Array, normals: Array, faces: Indices, x: Array) -> tuple[Places, Indices]:
+        """Where the edges of faces (M, 3) pass the lines through points (M, 3) along normals, if below.
+
+        With each the number of its point.
+        """
         edges = faces[:, _EDGES].reshape(-1, 2)
         p, n = np.repeat(points, 3, 0), np.repeat(normals, 3, 0)
         first, second = (x[edges[:, k]] for k in range(2))
@@ -193,7 +206,7 @@ class BodyContact:
         movable = (weights[:, :2] * self.free[edges]).sum(1) > _MOVABLE
         # At their ends the vertices take part themselves.
         kept = low & movable & (share > _AT_END) & (share < 1.0 - _AT_END)
-        return Places(edges[:, [0, 1, 1]][kept], weights[kept])
+        return Places(edges[:, [0, 1, 1]][kept], weights[kept]), np.flatnonzero(kept) // 3
 
     def walls(self, points: Array) -> Nearest:
         """Nearest points of the body, in a crease of its other wall as well; ``body.move`` goes before."""
@@ -228,11 +241,33 @@ class BodyContact:
         return on_rim
 
 
-class FrozenContact(RenewedPotential):
-    """Contacts that are given: planes and normal forces of the friction don't change between solves."""
+class StepContact(RenewedPotential):
+    """Contacts of one step.
 
-    def __init__(self, potential: ContactPotential, friction: float | Tensor) -> None:
-        self.potential, self._friction = potential, friction
+    Attributes:
+        potential: of the planes as they are.
+        pairs: what the planes follow from.
+    """
+
+    def __init__(
+        self,
+        contact: BodyContact,
+        positions: Array,
+        body: Array | Tensor,
+        next_body: Array | Tensor,
+        friction: float | Tensor,
+        time_step: float,
+        expected: Array,
+    ) -> None:
+        self._contact = contact
+        self._x = positions
+        self._given = torch.as_tensor(body), torch.as_tensor(next_body)
+        self._body, self._next = (given.detach().numpy() for given in self._given)
+        self._friction = torch.as_tensor(friction, dtype=torch.float64)
+        self._sticking = contact.settings.sticking_speed * time_step
+        self._candidates = self._near(positions)
+        # The cloth is where the step begins already.
+        self.potential, self.pairs = self._planes_at(positions, self._body, expected)
 
     def total(self, x: Array, free: Array) -> float:
         """See StepPotential."""
@@ -246,17 +281,22 @@ class FrozenContact(RenewedPotential):
         """See StepPotential."""
         self.potential.add_hessian(blocks, pattern, x, convex=convex)
 
-    def renew(self, x: Array) -> None:
-        """See RenewedPotential: nothing is."""
+    @property
+    def differentiable(self) -> bool:
+        """See RenewedPotential: by body or μ."""
+        return any(given.requires_grad for given in (*self._given, self._friction))
 
-    def forces(self, x: Tensor, positions: Tensor) -> Tensor:
-        """See RenewedPotential."""
-        return self.potential.forces(x, positions, torch.as_tensor(self._friction, dtype=torch.float64))
+    def forces(self, x: Tensor, positions: Tensor, renewed: Tensor) -> Tensor:
+        """See RenewedPotential; differentiable by body and μ as well.
 
-    def again(self, positions: Array, friction: float | Tensor) -> FrozenContact:
-        """The contacts as they are for a step from other positions x_n (N, 3) [m]."""
-        number = float(torch.as_tensor(friction).detach())
-        return FrozenContact(self.potential.begun_at(positions, number), friction)
+        Raises:
+            ValueError: planes between parts of the cloth itself have no gradients.
+        """
+        if self.potential.planes.own:
+            raise ValueError("contact of a cloth with itself: expected none where gradients are asked for")
+        contact = self._contact
+        planes = self.pairs.planes(renewed, *self._given, contact.rules)
+        return contact_forces(planes, x, positions, self._friction, contact.penalty, self._sticking)
 
     def pushing(self, x: Array) -> int:
         """Contacts that push."""
@@ -273,37 +313,9 @@ class FrozenContact(RenewedPotential):
         np.add.at(moved, vertex, planes.depths(x)[single].clip(min=0.0)[:, None] * planes.normals[single])
         return moved
 
-
-class StepContact(FrozenContact):
-    """Contacts of one step.
-
-    Attributes:
-        potential: of the planes as they are.
-    """
-
-    def __init__(
-        self,
-        contact: BodyContact,
-        positions: Array,
-        body: Array,
-        next_body: Array,
-        friction: float | Tensor,
-        time_step: float,
-        expected: Array,
-    ) -> None:
-        self._contact = contact
-        self._x = positions
-        self._body, self._next = body, next_body
-        self._sticking = contact.settings.sticking_speed * time_step
-        self._candidates = self._near(positions)
-        # The cloth is where the step begins already.
-        super().__init__(
-            self._frozen(self._planes_at(positions, body, expected), positions, friction), friction
-        )
-
     def renew(self, x: Array) -> None:
         """See RenewedPotential."""
-        self.potential = self._frozen(self._planes_at(x, self._next, x), self._x, self._friction)
+        self.potential, self.pairs = self._planes_at(x, self._next, x)
 
     def reachable(self, x: Array) -> Array:
         """See RenewedPotential: the cloth does not pass through itself on the way."""
@@ -326,7 +338,7 @@ class StepContact(FrozenContact):
         found: Indices = candidates[near.which]
         return found
 
-    def _planes_at(self, x: Array, body: Array, ends: Array) -> ContactPlanes:
+    def _planes_at(self, x: Array, body: Array, ends: Array) -> tuple[ContactPotential, ContactPairs]:
         """Planes of a cloth x (N, 3) and a body (V, 3) as they are at the begin or end, carried to the end.
 
         The cloth is expected to end at (N, 3) [m].
@@ -334,7 +346,7 @@ class StepContact(FrozenContact):
         contact, settings = self._contact, self._contact.settings
         contact.cloth.move(x)
         points, here = body[self._candidates], contact.normals(body)[self._candidates]
-        facing, gaps, edges = contact.faces_and_edges(points, here, settings.body_reach, x)
+        facing, gaps, edges, beside_of = contact.faces_and_edges(points, here, settings.body_reach, x)
         contact.body.move(body)
         vertices = contact.walls(x[contact.loose])
         beside = contact.surface(edges.points(x), settings.body_reach)
@@ -367,16 +379,25 @@ class StepContact(FrozenContact):
             normal_forces=stiffness * contact.penalty.slope(lacking),
             drags=np.concatenate((drags, self._next[own] - self._body[own])),
         )
+        pairs = ContactPairs(
+            vertices=contact.loose[vertices.which],
+            edges=edges.vertices[beside.which][:, :2],
+            beside=self._candidates[beside_of[beside.which]],
+            corners=corners,
+            weights=found.weights,
+            distances=found.distances,
+            facing=own,
+            faces=contact.cloth.faces[facing.faces],
+            places=facing.weights,
+            carried=body is not self._next,
+        )
         itself = contact.own
-        if itself is None:
-            return planes
-        if body is self._body:
-            itself.begin(x, contact.squeezed(vertices))
-        return planes.with_own(itself.planes(x, ends, self._x))
-
-    def _frozen(self, planes: ContactPlanes, x: Array, friction: float | Tensor) -> ContactPotential:
-        number = float(torch.as_tensor(friction).detach())
-        return ContactPotential(planes, x, number, self._contact.penalty, self._sticking)
+        if itself is not None:
+            if body is self._body:
+                itself.begin(x, contact.squeezed(vertices))
+            planes = planes.with_own(itself.planes(x, ends, self._x))
+        friction = float(self._friction.detach())
+        return ContactPotential(planes, self._x, friction, contact.penalty, self._sticking), pairs
 
 
 def _frames(corners: Array) -> Array:

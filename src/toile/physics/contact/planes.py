@@ -17,7 +17,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from torch import Tensor
@@ -132,10 +131,6 @@ class ContactPotential(StepPotential):
         self._starts = planes.points(positions) + planes.drags
         self._slots: Indices | None = None
 
-    def begun_at(self, positions: Array, friction: float) -> ContactPotential:
-        """The same for a step that begins elsewhere, with another μ."""
-        return ContactPotential(self.planes, positions, friction, self._penalty, self._sticking)
-
     def total(self, x: Array, free: Array) -> float:
         """See StepPotential."""
         y = self._weights @ x
@@ -196,31 +191,6 @@ class ContactPotential(StepPotential):
         contact, pair = np.nonzero(used)
         add_blocks(blocks, slots[contact, pair], products[contact, pair][:, None, None] * block[contact])
 
-    def forces(self, x: Tensor, positions: Tensor, friction: Tensor) -> Tensor:
-        """Force (N, 3) [N] at fixed x, differentiable by where the step begins and by μ.
-
-        Args:
-            x: x_{n+1} (N, 3) [m].
-            positions: x_n (N, 3) [m].
-            friction: μ ().
-        """
-        planes = self.planes
-        vertices, weights = torch.from_numpy(planes.vertices), torch.from_numpy(planes.weights)
-        n = torch.from_numpy(planes.normals)
-        here, there = ((weights[:, :, None] * p[vertices]).sum(1) for p in (x, positions))
-        moved = here - there - torch.from_numpy(planes.drags)
-        u = moved - (moved * n).sum(1, keepdim=True) * n
-        s = (u.square().sum(1) + (_STILL * self._sticking) ** 2).sqrt()
-        inside = s < self._sticking
-        by_length = torch.where(inside, (2 - s / self._sticking) / self._sticking, 1 / s)
-        pushing = torch.from_numpy(self.normal_forces(x.detach().numpy()))
-        lagged = torch.from_numpy(planes.normal_forces)
-        on_points = pushing[:, None] * n - (friction * lagged * by_length)[:, None] * u
-        out = torch.zeros_like(x)
-        for corner in range(3):
-            out = out.index_add(0, vertices[:, corner], weights[:, corner : corner + 1] * on_points)
-        return out
-
     def _depths(self, y: Array) -> Array:
         depths: Array = self.planes.offsets - np.einsum("ck,ck->c", self.planes.normals, y)
         return depths
@@ -263,6 +233,15 @@ class Penalty:
         up = d.clip(min=0.0)
         slope: Array = 0.5 * below * below / w + beyond + up * up * up / self.hardening**2
         return slope
+
+    def slope_of(self, d: Tensor) -> Tensor:
+        """φ' (C,) [m], with gradients."""
+        w = self.smoothing
+        return (
+            0.5 * d.clamp(0.0, w).square() / w
+            + (d - w).clamp(min=0.0)
+            + d.clamp(min=0.0) ** 3 / self.hardening**2
+        )
 
     def curvature(self, d: Array) -> Array:
         """φ'' (C,)."""

@@ -103,7 +103,7 @@ class HybridSimulator(LinearizableSimulator):
         terms: Sequence[SceneTerms],
         *,
         linearize: bool,
-    ) -> list[StepSolution]:
+    ) -> Sequence[StepSolution]:
         solutions = []
         arguments = zip(starts, prediction, boundary, forces, stiffness, strict=True)
         for scene, term in zip(arguments, terms, strict=True):

@@ -7,8 +7,9 @@ is frozen while Newton's method runs, and renewed in a few outer passes.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from copy import copy
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -17,16 +18,17 @@ from torch import Tensor
 
 from toile.limits import Count
 from toile.physics.cloth import Cloth
-from toile.physics.implicit.integrators import Formula, Integrator
+from toile.physics.implicit.integrators import Integrator
 from toile.physics.implicit.linear_solvers.pattern import BlockPattern
 from toile.physics.implicit.newton import NewtonSettings, StepSolution, minimise_incremental_potential
 from toile.physics.implicit.potential import StepPotential
 from toile.physics.implicit.simulator import ImplicitSimulator
 from toile.physics.implicit.terms import SceneTerms
+from toile.physics.linearizable import implicit_positions
 from toile.physics.material import Material
-from toile.physics.simulator import StepResult, StepStatus
+from toile.physics.simulator import SimulationError, StepResult, StepStatus
 from toile.physics.state import State
-from toile.physics.step_terms import StepContext, StepTerm
+from toile.physics.step_terms import StepTerm
 
 Array = NDArray[np.float64]
 
@@ -42,13 +44,23 @@ class RenewedPotential(StepPotential):
         """What can be reached on the way from the step's begin to x (N, 3) [m]; x if nothing is between."""
         return x
 
+    @property
+    def differentiable(self) -> bool:
+        """Whether its forces follow from numbers of its own that require gradients."""
+        return False
+
+    def frozen(self) -> RenewedPotential:
+        """As it is now: what is renewed later is not renewed there."""
+        return copy(self)
+
     @abstractmethod
-    def forces(self, x: Tensor, positions: Tensor) -> Tensor:
-        """Force (N, 3) [N] at fixed x_{n+1}, differentiable by x_n and the potential's own numbers.
+    def forces(self, x: Tensor, positions: Tensor, renewed: Tensor) -> Tensor:
+        """Force (N, 3) [N] at fixed x_{n+1}, differentiable by all that it follows from.
 
         Args:
             x: x_{n+1} (N, 3) [m], without gradients.
             positions: x_n (N, 3) [m].
+            renewed: where it was renewed last, x_n before (N, 3) [m].
         """
 
 
@@ -90,15 +102,37 @@ class RenewedSum(PotentialSum, RenewedPotential):
             x = part.reachable(x)
         return x
 
-    def forces(self, x: Tensor, positions: Tensor) -> Tensor:
+    @property
+    def differentiable(self) -> bool:
         """See RenewedPotential."""
-        return torch.stack([part.forces(x, positions) for part in self._renewed]).sum(0)
+        return any(part.differentiable for part in self._renewed)
+
+    def frozen(self) -> RenewedSum:
+        """See RenewedPotential."""
+        return RenewedSum([part.frozen() for part in self._renewed])
+
+    def forces(self, x: Tensor, positions: Tensor, renewed: Tensor) -> Tensor:
+        """See RenewedPotential."""
+        return torch.stack([part.forces(x, positions, renewed) for part in self._renewed]).sum(0)
+
+
+@dataclass(frozen=True)
+class RenewedSolution(StepSolution):
+    """A step in several passes.
+
+    Attributes:
+        passes: solution of each, and the potential as it was there; only where gradients may be asked for.
+    """
+
+    passes: tuple[tuple[StepSolution, RenewedPotential], ...] = ()
 
 
 class RenewingSimulator(ImplicitSimulator):
     """ImplicitSimulator whose steps are solved in several passes, with potentials renewed in between.
 
-    Derivatives are those of the last pass: what is frozen in it does not change.
+    Derivatives are those of all passes one after the other: each is a minimum by the implicit function
+    theorem, and what was renewed in between follows from the one before. A pass that did not converge is no
+    minimum; what the next one knows of it counts as given. A step that did not converge has no derivative.
 
     Args:
         cloth: see ImplicitSimulator.
@@ -143,15 +177,6 @@ class RenewingSimulator(ImplicitSimulator):
         finally:
             self._potentials = ()
 
-    def _scenes(self, contexts: Sequence[StepContext], n: int) -> list[SceneTerms]:
-        scenes = super()._scenes(contexts, n)
-        if not self._potentials:
-            return scenes
-        return [
-            replace(scene, vertices=own if scene.vertices is None else PotentialSum((scene.vertices, own)))
-            for scene, own in zip(scenes, self._potentials, strict=True)
-        ]
-
     def _solve(
         self,
         starts: Array,
@@ -163,7 +188,7 @@ class RenewingSimulator(ImplicitSimulator):
         terms: Sequence[SceneTerms],
         *,
         linearize: bool,
-    ) -> list[StepSolution]:
+    ) -> Sequence[StepSolution]:
         if not self._potentials:
             return super()._solve(
                 starts, prediction, boundary, forces, stiffness, inertia, terms, linearize=linearize
@@ -172,12 +197,14 @@ class RenewingSimulator(ImplicitSimulator):
         arguments = zip(starts, prediction, boundary, forces, stiffness, strict=True)
         for scene, term, own in zip(arguments, terms, self._potentials, strict=True):
             guesses, x_hat, ends, force, coefficients = scene
+            acting = _with(term, own)
             term.prepare(self.assembly)
             guesses = np.array(guesses)
             guesses[:, self.assembly.pinned] = ends
             guesses = np.stack([own.reachable(guess) for guess in guesses])
             found: StepSolution | None = None
             iterations = 0
+            passes = []
             for number in range(2 * self.passes):
                 last = number >= self.passes - 1
                 if found is not None:
@@ -194,7 +221,7 @@ class RenewingSimulator(ImplicitSimulator):
                     self.force_scale,
                     self.newton if last else self._loose,
                     linearize=linearize and last,
-                    extra=term.vertices,
+                    extra=acting.vertices,
                     factor=None if found is None else found.factor,
                     keep_factor=True,
                 )
@@ -203,29 +230,75 @@ class RenewingSimulator(ImplicitSimulator):
                     reached = own.reachable(found.positions)
                     if reached is not found.positions:
                         found = replace(found, positions=reached, status=StepStatus.LINE_SEARCH_FAILED)
+                if torch.is_grad_enabled():
+                    passes.append((replace(found, factor=None), own.frozen()))
                 # Where the last pass got stuck, others with renewed potentials may not.
                 if last and found.status is StepStatus.CONVERGED:
                     break
             assert found is not None
-            solutions.append(replace(found, iterations=iterations, factor=None))
+            solutions.append(
+                RenewedSolution(
+                    found.positions,
+                    found.status,
+                    iterations,
+                    found.residual,
+                    found.linearization,
+                    passes=tuple(passes),
+                )
+            )
         return solutions
 
-    def _with_hidden_gradients(
+    def _with_gradients(
         self,
-        forces: Tensor,
         state: State,
-        contexts: list[StepContext],
-        formula: Formula,
+        inertia: Array,
+        solutions: Sequence[StepSolution],
+        scenes: list[SceneTerms],
+        found: Tensor,
         prediction: Tensor,
-        positions: Tensor,
+        stiffness: Tensor,
+        forces: Callable[[Tensor], Tensor],
+        boundary: Tensor,
     ) -> Tensor:
-        forces = super()._with_hidden_gradients(forces, state, contexts, formula, prediction, positions)
-        if not (torch.is_grad_enabled() and self._potentials):
-            return forces
-        own = torch.stack(
-            [
-                potential.forces(x, start)
-                for potential, x, start in zip(self._potentials, positions, state.positions, strict=True)
-            ]
-        )
-        return forces + (own - own.detach())
+        inputs = state.positions, prediction, stiffness, boundary, forces(found)
+        asked = any(given.requires_grad for given in inputs)
+        asked |= any(own.differentiable for own in self._potentials)
+        if not (self._potentials and torch.is_grad_enabled() and asked):
+            return super()._with_gradients(
+                state, inertia, solutions, scenes, found, prediction, stiffness, forces, boundary
+            )
+        every = []
+        for b, (solution, scene) in enumerate(zip(solutions, scenes, strict=True)):
+            assert isinstance(solution, RenewedSolution)
+            start = state.positions[b]
+            renewed = reached = start
+            for part, own in solution.passes:
+                x = torch.from_numpy(part.positions)
+                # One scene's forces depend on no other's positions.
+                own_forces = own.forces(x, start, renewed)
+                at = forces(torch.cat((found[:b], x[None], found[b + 1 :])))[b]
+                reached = implicit_positions(
+                    self,
+                    inertia,
+                    [part],
+                    [_with(scene, own)],
+                    x[None],
+                    prediction[b][None],
+                    stiffness[b][None],
+                    (at + (own_forces - own_forces.detach()))[None],
+                    boundary[b][None],
+                )[0]
+                renewed = reached if part.status is StepStatus.CONVERGED else x
+            if solution.status is not StepStatus.CONVERGED and reached.requires_grad:
+                reached.register_hook(_refused)
+            every.append(reached)
+        return torch.stack(every)
+
+
+def _with(scene: SceneTerms, own: RenewedPotential) -> SceneTerms:
+    """What acts within the step, and the potential of its own."""
+    return replace(scene, vertices=own if scene.vertices is None else PotentialSum((scene.vertices, own)))
+
+
+def _refused(gradient: Tensor) -> None:
+    raise SimulationError("a step that did not converge is no minimum: it has no gradients")

@@ -69,7 +69,7 @@ class ImplicitSimulator(LinearizableSimulator):
         terms: Sequence[SceneTerms],
         *,
         linearize: bool,
-    ) -> list[StepSolution]:
+    ) -> Sequence[StepSolution]:
         solutions = []
         arguments = zip(starts, prediction, boundary, forces, stiffness, strict=True)
         for scene, term in zip(arguments, terms, strict=True):

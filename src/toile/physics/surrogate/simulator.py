@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -113,7 +113,7 @@ class SurrogateSimulator(LinearizableSimulator):
         terms: Sequence[SceneTerms],
         *,
         linearize: bool,
-    ) -> list[StepSolution]:
+    ) -> Sequence[StepSolution]:
         problem, origin = self._problem(
             torch.from_numpy(starts),
             torch.from_numpy(prediction),
@@ -135,12 +135,12 @@ class SurrogateSimulator(LinearizableSimulator):
         self,
         state: State,
         inertia: Array,
-        solutions: list[StepSolution],
+        solutions: Sequence[StepSolution],
         scenes: list[SceneTerms],
         found: Tensor,
         prediction: Tensor,
         stiffness: Tensor,
-        forces: Tensor,
+        forces: Callable[[Tensor], Tensor],
         boundary: Tensor,
     ) -> Tensor:
         """See LinearizableSimulator; the derivative is the one chosen."""
@@ -152,7 +152,7 @@ class SurrogateSimulator(LinearizableSimulator):
 
         def of_computation() -> Tensor:
             problem, origin = self._problem(
-                _candidates(state), prediction, boundary, forces, stiffness, inertia
+                _candidates(state), prediction, boundary, forces(found), stiffness, inertia
             )
             inside = ((found - origin) / self._length).reshape(problem.prediction.shape)
             asked = (problem.starts, problem.prediction, problem.forces, problem.stiffness)

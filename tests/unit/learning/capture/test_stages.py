@@ -139,6 +139,27 @@ def test_windows_have_as_many_targets(
     assert seen == list(range(1, expected + 1))
 
 
+def test_windows_in_processes_have_the_digits_of_the_loop(
+    training_set: TrainingSet, networks: Networks
+) -> None:
+    stage = physics(networks, training_set, batch=2, replays=0)
+    found = []
+    for workers in (1, 2):
+        stage.share(workers)
+        found.append(float(stage.terms(0, np.random.default_rng(0))["simulation"].detach()))
+        stage.teardown("fit")
+    assert found[0] == found[1] > 0.0
+
+
+def test_gradients_through_the_layer_stay_in_one_process(
+    training_set: TrainingSet, networks: Networks
+) -> None:
+    stage = physics(networks, training_set, through_layer=True)
+    stage.share(1)
+    with pytest.raises(InputError, match="stay within one process"):
+        stage.share(2)
+
+
 def test_adaptation_changes_both_by_one_camera(training_set: TrainingSet, networks: Networks) -> None:
     pose, sim = state(networks.pose_net), state(networks.sim_net)
     settings = AdaptationSettings(steps=2, substeps=1, simulation_every=2, learning_rate=1e-3)
