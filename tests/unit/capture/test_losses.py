@@ -16,6 +16,7 @@ from toile.capture.deformation.graph import EmbeddedGraph, embedded_graph
 from toile.capture.garments import Garment, Material
 from toile.capture.layer.layer import GRAVITY, SimulationLayer
 from toile.capture.losses.attachment import attachment_loss
+from toile.capture.losses.balance import potential_loss
 from toile.capture.losses.joint_limits import joint_limit_loss
 from toile.capture.losses.landmarks import landmark_loss
 from toile.capture.losses.rigidity import rigidity_loss, rotation_loss
@@ -26,7 +27,6 @@ from toile.capture.losses.silhouette import (
     distance_field,
     silhouette_loss,
 )
-from toile.capture.losses.balance import potential_loss
 from toile.capture.losses.simulation import (
     LayerFrameStep,
     Stepped,

@@ -40,13 +40,23 @@ class NetworkSettings:
 
     Attributes:
         backbone: of both networks.
-        nodes: K, of the garment's embedded graph.
+        nodes: K, of the garment's embedded graph; None: as many as the garment has vertices. A coarser graph
+            cannot follow a garment in balance, see docs/capture.md.
         one_piece: whether body and garment are one mesh with one graph of K nodes, as in DeepCap.
     """
 
     backbone: BackboneSettings = field(default_factory=BackboneSettings)
-    nodes: Count = 96
+    nodes: Count | None = None
     one_piece: bool = False
+
+    def __post_init__(self) -> None:
+        if self.one_piece and self.nodes is None:
+            raise InputError(
+                "A graph of body and garment in one piece has no number of nodes of its own",
+                where="networks.nodes",
+                expected="a number",
+                got="null",
+            )
 
 
 @dataclass
@@ -88,18 +98,19 @@ class Networks:
         Raises:
             InputError: more nodes than the garment has vertices, or another setting that does not fit.
         """
+        nodes = len(garment.rest_vertices) if settings.nodes is None else settings.nodes
         if settings.one_piece:
-            deformation: Deformation = OnePieceDeformation(subject, garment, settings.nodes)
+            deformation: Deformation = OnePieceDeformation(subject, garment, nodes)
         else:
             graph = embedded_graph(
-                garment.rest_vertices, garment.faces, settings.nodes, fabric_rigidity(garment.material)
+                garment.rest_vertices, garment.faces, nodes, fabric_rigidity(garment.material)
             )
             deformation = Deformation(subject, garment, graph)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             limits = subject.joint_limits[deformation.driven]
             pose_net = PoseNet(settings.backbone, limits)
-            sim_net = SimNet(settings.backbone, settings.nodes) if with_sim_net else None
+            sim_net = SimNet(settings.backbone, nodes) if with_sim_net else None
         return Networks(settings, deformation, pose_net, sim_net, garment)
 
     def resized(self, settings: NetworkSettings, where: str) -> Networks:
@@ -128,7 +139,9 @@ class Networks:
         What one network has learned to see in a person helps the other; ours, not in the paper.
         """
         # Nothing of it is random: the backbone is a copy, the last layer is zero.
-        sim_net = SimNet(self.settings.backbone, self.settings.nodes)
+        graph = self.deformation.garment_mesh.graph
+        assert graph is not None
+        sim_net = SimNet(self.settings.backbone, len(graph))
         sim_net.backbone.load_state_dict(self.pose_net.backbone.state_dict())
         return replace(self, sim_net=sim_net)
 
@@ -207,7 +220,9 @@ def load_networks(path: Path | str | None = None, deformation: Deformation | Non
     try:
         given = content["settings"]
         settings = NetworkSettings(
-            BackboneSettings(**given["backbone"]), int(given["nodes"]), bool(given.get("one_piece", False))
+            BackboneSettings(**given["backbone"]),
+            None if given["nodes"] is None else int(given["nodes"]),
+            bool(given.get("one_piece", False)),
         )
         subject = _from_bytes(content["subject"], Subject)
         garment = _from_bytes(content["garment"], Garment)
