@@ -208,8 +208,8 @@ def main() -> None:
         "# Why a network's garment is out of balance",
         "",
         f"`make capture-balance`: frames {FRAMES.start} to {FRAMES.stop - 1} of the first training clip of "
-        "the demo, camera 0, the package's networks. One clip, nothing random: no spread. Forces in weights of a "
-        "vertex.",
+        "the demo, camera 0, the package's networks. One clip, nothing random: no spread. Forces in "
+        "weights of a vertex.",
         "",
         forces.to_markdown(index=False, floatfmt=".3g").replace(" nan ", "   – "),
         "",

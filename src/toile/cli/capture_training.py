@@ -56,7 +56,8 @@ def train(cfg: DictConfig, last: str) -> Path:
     """Train the stages up to one, those that are done already left out.
 
     A stage lies in a folder of its own: weights.pt, losses.csv, stage.json (what it follows from),
-    resources.json (time and memory), its last checkpoint and TensorBoard. The same command continues a stage that was interrupted, bit for bit.
+    resources.json (time and memory), its last checkpoint and TensorBoard. The same command continues a stage
+    that was interrupted, bit for bit.
 
     Args:
         cfg: configuration of the command.
