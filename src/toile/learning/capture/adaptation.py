@@ -24,12 +24,12 @@ class AdaptationSettings(PhysicsSettings):
     """
 
     steps: Count = 300
+    batch: Count = 1
     learning_rate: NonNegative = 1e-4
-    rigidity_weight: NonNegative = 3.0
     window: TwoOrMore = 2
     replays: CountOrZero = 0
     landmark_weight: NonNegative = 10.0
-    simulation_every: CountOrZero = 10
+    simulation_every: CountOrZero = 20
 
 
 class AdaptationStage(PhysicsStage):

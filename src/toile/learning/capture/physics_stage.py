@@ -50,17 +50,18 @@ class PhysicsSettings(WarmSettings):
     """
 
     steps: Count = 1500
-    batch: Count = 1
-    learning_rate: NonNegative = 5e-4
+    batch: Count = 3
+    learning_rate: NonNegative = 3e-4
+    silhouette_weight: NonNegative = 150.0
     rigidity_weight: NonNegative = 0.0
     window: TwoOrMore = 3
-    potential_weight: NonNegative = 0.0
-    simulation_every: CountOrZero = 1
+    potential_weight: NonNegative = 3.0
+    simulation_every: CountOrZero = 10
     substeps: Count = 1
     simulation_weight: NonNegative = 10.0
     silhouette_rays: bool = True
     through_layer: bool = False
-    replays: CountOrZero = 6
+    replays: CountOrZero = 3
     memory: Count = 40
     layer: LayerSettings = field(default_factory=LayerSettings)
 
