@@ -133,6 +133,10 @@ capture-demo: capture-data ## One camera to body and garment, from nothing to a 
 	$(call capture,physics) folder=$(CAPTURE)/train output=$(CAPTURE)/seed0
 	$(call capture,run) run=$(CAPTURE)/own weights=$(CAPTURE)/seed0/physics/weights.pt result=$(CAPTURE)/run
 
+.PHONY: capture-weights
+capture-weights: setup ## The package's networks out of make capture-demo, in half precision
+	$(BIN)/python benchmarks/capture_weights.py --weights $(CAPTURE)/seed0/physics/weights.pt
+
 .PHONY: capture-tables
 capture-tables: capture-data ## One camera: training with three seeds, ablations, baselines (hours): docs/results/capture.csv; resumes
 	$(call capture_data,unseen,kick,1,1000)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import tempfile
+import zipfile
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from importlib import resources
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, BinaryIO, TypeVar
 
 import torch
 from torch import Tensor, nn
@@ -151,7 +153,7 @@ class Networks:
         Args:
             path: file to write.
             description: how they were made: command, seed, data ...
-            half: in half precision, e.g. to be shipped; loaded, they are float32 again.
+            half: in half precision and compressed, e.g. to be shipped; loaded, they are float32 again.
         """
 
         def stored(network: nn.Module | None) -> dict[str, Tensor] | None:
@@ -173,7 +175,12 @@ class Networks:
         path.parent.mkdir(parents=True, exist_ok=True)
         # Given a path, torch would write the temporary file's name into the file.
         with written_atomically(path) as temporary, temporary.open("wb") as file:
-            torch.save(content, file)
+            if not half:
+                torch.save(content, file)
+            else:
+                whole = io.BytesIO()
+                torch.save(content, whole)
+                _compress(whole, file)
         return path
 
     def check_belongs(self, subject: Subject, garment: Garment, where: str) -> None:
@@ -243,6 +250,19 @@ def load_networks(path: Path | str | None = None, deformation: Deformation | Non
 def weights_digest(path: Path) -> str:
     """Short name of a file's content."""
     return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+
+
+def _compress(whole: BinaryIO, file: BinaryIO) -> None:
+    """A file of torch.save is a zip of what is not compressed; torch.load reads one that is."""
+    with (
+        zipfile.ZipFile(whole) as old,
+        zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as new,
+    ):
+        for entry in old.infolist():
+            # The day of writing is left out: the same networks give the same bytes.
+            plain = zipfile.ZipInfo(entry.filename)
+            plain.compress_type = zipfile.ZIP_DEFLATED
+            new.writestr(plain, old.read(entry.filename))
 
 
 def _read(path: Path) -> dict[str, Any]:
