@@ -9,7 +9,7 @@ the share of its answer that no mixture of the others explains.
 Sizes of the differences are in ``EFFECTS``; cosines and shares do not depend on them as long as the answer is
 linear, which ``linearity`` measures: the cosine of the two one-sided answers.
 
-    python benchmarks/capture_aliases.py [--frames 30] [--output docs/results/capture_aliases]
+    python benchmarks/capture_aliases.py [--frames 20] [--output docs/results/capture_aliases]
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ from toile.rendering import WarpRenderer
 
 Floats = NDArray[np.float64]
 
-FPS, SUBSTEPS, VERTICES, SEED = 30.0, 3, 448, 0
+FPS, SUBSTEPS, VERTICES, SEED = 30.0, 2, 448, 0
 MOTIONS = ("walk", "squat")
 CAMERAS, SIDE = 4, 128
 
@@ -292,7 +292,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--frames", type=int, default=30, help="of each motion, six or more")
+    parser.add_argument("--frames", type=int, default=20, help="of each motion, six or more")
     parser.add_argument("--output", type=Path, default=Path("docs/results/capture_aliases"))
     given = parser.parse_args()
     if given.frames < 6:
