@@ -101,7 +101,7 @@ capture-layer: setup ## The simulation layer of moving garments (an hour): docs/
 	$(BIN)/python benchmarks/capture_layer.py
 
 .PHONY: capture-aliases
-capture-aliases: setup ## What one camera can tell apart in a garment (ten minutes): docs/results/capture_aliases.md
+capture-aliases: setup ## What one camera can tell apart in a garment (minutes): docs/results/capture_aliases.md
 	$(BIN)/python benchmarks/capture_aliases.py
 
 .PHONY: capture-balance
