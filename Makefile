@@ -116,11 +116,21 @@ NEWTON_PYTHON ?= $(BIN)/python
 newton: setup ## Our steps beside newton's vertex block descent, if it is there: docs/results/newton_vbd.md
 	$(BIN)/python benchmarks/newton_vbd.py --python $(NEWTON_PYTHON)
 
+.PHONY: capture-aliases
+capture-aliases: setup ## What one camera can tell apart in a garment (minutes): docs/results/capture_aliases.md
+	$(BIN)/python benchmarks/capture_aliases.py
+
+.PHONY: capture-balance
+capture-balance: setup ## Why a network's garment is out of balance (two minutes, after make capture-data): docs/results/capture_balance.md
+	$(BIN)/python benchmarks/capture_balance.py
+
 # One camera: PRESET=tiny learns nothing and is over in a minute. Everything goes on where it was interrupted.
 PRESET ?= demo
 CAPTURE := outputs/capture/$(PRESET)
 CAPTURE_SEEDS ?= 0 1 2
-CAPTURE_ABLATIONS ?= no_silhouette_rays frames_2 frames_5
+# Ablations of the physics stage with every seed, and those with the first seed alone, which simulate most.
+CAPTURE_ABLATIONS ?= eq8_alone potential_alone
+CAPTURE_ABLATIONS_ONCE ?= no_silhouette_rays frames_2 frames_5 through_layer
 CAPTURE_TABLE ?= docs/results/capture
 CAPTURE_DOMAINS ?= $(if $(filter tiny,$(PRESET)),,studio wild)
 CAPTURE_FRAMES ?= $(if $(filter tiny,$(PRESET)),6,40)
@@ -139,6 +149,10 @@ capture-demo: capture-data ## One camera to body and garment, from nothing to a 
 	$(call capture,physics) folder=$(CAPTURE)/train output=$(CAPTURE)/seed0
 	$(call capture,run) run=$(CAPTURE)/own weights=$(CAPTURE)/seed0/physics/weights.pt result=$(CAPTURE)/run
 
+.PHONY: capture-weights
+capture-weights: setup ## The package's networks out of make capture-demo, in half precision
+	$(BIN)/python benchmarks/capture_weights.py --weights $(CAPTURE)/seed0/physics/weights.pt
+
 .PHONY: capture-tables
 capture-tables: capture-data ## One camera: training with three seeds, ablations, baselines (hours): docs/results/capture.csv; resumes
 	$(call capture_data,unseen,kick,1,1000)
@@ -146,14 +160,19 @@ capture-tables: capture-data ## One camera: training with three seeds, ablations
 	set -e; for seed in $(CAPTURE_SEEDS); do \
 		place=$(CAPTURE)/seed$$seed; training="folder=$(CAPTURE)/train seed=$$seed"; \
 		$(call capture,physics) $$training output=$$place; \
-		for ablation in $(CAPTURE_ABLATIONS); do \
+		ablations="$(CAPTURE_ABLATIONS)"; \
+		if [ $$seed = $(firstword $(CAPTURE_SEEDS)) ]; then ablations="$$ablations $(CAPTURE_ABLATIONS_ONCE)"; fi; \
+		for ablation in $$ablations; do \
 			$(call capture,physics) $$training output=$$place ablation=$$ablation; done; \
-		$(call capture,warm) $$training output=$$place/one_piece ablation=one_piece weights=$$place/pose/weights.pt; \
+		for ablation in one_piece coarse_graph; do \
+			$(call capture,warm) $$training output=$$place/$$ablation ablation=$$ablation weights=$$place/pose/weights.pt; done; \
 		for domain in $(CAPTURE_DOMAINS); do \
 			$(call capture,adapt) seed=$$seed output=$$place/$$domain run=$(CAPTURE)/$$domain/000-walk weights=$$place/physics/weights.pt; done; \
+		for clip in $(CAPTURE)/own/0*; do \
+			$(call capture,adapt) seed=$$seed output=$$place/own run=$$clip weights=$$place/physics/weights.pt; done; \
 	done
 	$(call capture,tables) tables.trained=$(CAPTURE) tables.output=$(CAPTURE_TABLE) every=4 \
-		tables.seeds=[$(call list,$(CAPTURE_SEEDS))] tables.domains.own=[$(CAPTURE)/own] tables.domains.unseen=[$(CAPTURE)/unseen] \
+		tables.seeds=[$(call list,$(CAPTURE_SEEDS))] tables.ablations_on=[own] tables.domains.own=[$(CAPTURE)/own] tables.domains.unseen=[$(CAPTURE)/unseen] \
 		$(foreach stage,$(CAPTURE_DOMAINS),tables.domains.$(stage)=[$(CAPTURE)/$(stage)]) \
 		"tables.note='make capture-tables: preset $(PRESET), seeds $(CAPTURE_SEEDS), held-out clips.'"
 

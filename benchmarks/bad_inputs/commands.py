@@ -84,6 +84,18 @@ CASES = [
     ),
     Case(
         GROUP,
+        "capture: tables with ablations on a domain that is not there",
+        ("capture", "tables", "tables.domains.own=[nowhere]", "tables.ablations_on=[moon]"),
+        says=("moon", "own"),
+    ),
+    Case(
+        GROUP,
+        "capture: one piece without a number of nodes",
+        ("capture", "pose", "networks.one_piece=true"),
+        says=("nodes",),
+    ),
+    Case(
+        GROUP,
         "capture: run of a filter without a middle",
         ("capture", "run", "run=nowhere", "finish.smoothing.frames=4"),
         says=("odd",),

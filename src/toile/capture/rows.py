@@ -148,11 +148,13 @@ class Row:
         title: as tables say it.
         weights: of the training, below the folder of its seed; {domain} and {clip} are the clip's.
         method: what is done with them.
+        ablation: whether it is the physics stage with something changed.
     """
 
     title: str
     weights: str
     method: Method
+    ablation: bool = False
 
 
 ROWS: Mapping[str, Row] = {
@@ -161,13 +163,20 @@ ROWS: Mapping[str, Row] = {
     "per_frame": Row("per-frame optimisation (LiveCap-like)", "pose/weights.pt", PerFrameMethod()),
     "simulation": Row("pure simulation on PoseNet's body", "pose/weights.pt", SimulationMethod()),
     "warm": Row("warm start", "warm/weights.pt", NetworkMethod()),
-    "physics": Row("physics, F = 3", "physics/weights.pt", NetworkMethod()),
-    "no_silhouette_rays": Row(
-        "physics without Eq. 1", "physics-no_silhouette_rays/weights.pt", NetworkMethod()
+    "physics": Row("physics", "physics/weights.pt", NetworkMethod()),
+    "eq8_alone": Row("physics by Eq. 8 alone", "physics-eq8_alone/weights.pt", NetworkMethod(), True),
+    "potential_alone": Row(
+        "physics by the potential alone", "physics-potential_alone/weights.pt", NetworkMethod(), True
     ),
-    "frames_2": Row("physics, F = 2", "physics-frames_2/weights.pt", NetworkMethod()),
-    "frames_5": Row("physics, F = 5", "physics-frames_5/weights.pt", NetworkMethod()),
-    "through_layer": Row("physics, gradients through S", "physics-through_layer/weights.pt", NetworkMethod()),
+    "no_silhouette_rays": Row(
+        "Eq. 8 alone, without Eq. 1", "physics-no_silhouette_rays/weights.pt", NetworkMethod(), True
+    ),
+    "frames_2": Row("Eq. 8 alone, F = 2", "physics-frames_2/weights.pt", NetworkMethod(), True),
+    "frames_5": Row("Eq. 8 alone, F = 5", "physics-frames_5/weights.pt", NetworkMethod(), True),
+    "through_layer": Row(
+        "Eq. 8 alone, gradients through S", "physics-through_layer/weights.pt", NetworkMethod(), True
+    ),
+    "coarse_graph": Row("warm start, 32 nodes", "coarse_graph/warm/weights.pt", NetworkMethod(), True),
     "adaptation": Row("physics + adaptation", "{domain}/adapt/{clip}/weights.pt", NetworkMethod()),
 }
 """By the names that the CSV has."""

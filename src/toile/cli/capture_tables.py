@@ -53,6 +53,14 @@ def write_tables(cfg: DictConfig) -> None:
             expected="tables.domains.own=[<data set or clip>, ...]",
             got="none",
         )
+    wanted = [] if cfg.tables.ablations_on is None else [str(name) for name in cfg.tables.ablations_on]
+    if strange := [name for name in wanted if name not in domains]:
+        raise InputError(
+            "No such domain",
+            where="tables.ablations_on",
+            expected=", ".join(domains),
+            got=", ".join(strange),
+        )
     trained = Path(str(cfg.tables.trained))
     settings: FinishSettings = instantiate(cfg.finish)
     lines = list(_lines(cfg, names, domains, trained, settings))
@@ -77,7 +85,14 @@ def _lines(
 ) -> Iterator[Line]:
     """Two lines for each row, domain and seed."""
     with Shown(log) as progress:
-        work = [(d, s, n) for s in cfg.tables.seeds for n in names for d in domains]
+        chosen = cfg.tables.ablations_on
+        work = [
+            (d, s, n)
+            for s in cfg.tables.seeds
+            for n in names
+            for d in domains
+            if chosen is None or not ROWS[n].ablation or d in chosen
+        ]
         for done, (domain, seed, name) in enumerate(work):
             progress("rows", done, len(work), f"{name}, {domain}, seed {seed}")
             clips = [clip for folder in domains[domain] for clip in clips_of(folder)]

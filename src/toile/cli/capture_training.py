@@ -7,6 +7,8 @@ import io
 import json
 import logging
 import os
+import resource
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -39,6 +41,8 @@ from toile.progress import Shown
 log = logging.getLogger(__name__)
 
 WEIGHTS, DESCRIPTION, LOSSES = "weights.pt", "stage.json", "losses.csv"
+RESOURCES = "resources.json"
+"""Time of the processor and memory that the stage took in the process that finished it."""
 
 _STAGES: Mapping[str, Callable[[Any, Networks, TrainingSet, int], Stage]] = {
     "pose": PoseStage,
@@ -52,8 +56,9 @@ _ORDER = ("pose", "warm", "physics")
 def train(cfg: DictConfig, last: str) -> Path:
     """Train the stages up to one, those that are done already left out.
 
-    A stage lies in a folder of its own: weights.pt, losses.csv, stage.json (what it follows from), its last
-    checkpoint and TensorBoard. The same command continues a stage that was interrupted, bit for bit.
+    A stage lies in a folder of its own: weights.pt, losses.csv, stage.json (what it follows from),
+    resources.json (time and memory), its last checkpoint and TensorBoard. The same command continues a stage
+    that was interrupted, bit for bit.
 
     Args:
         cfg: configuration of the command.
@@ -160,10 +165,17 @@ def _stage(
         ]
         logger = TensorBoardLogger(save_dir=folder, name="tensorboard", version="")
         trainer = make_trainer(cfg.trainer, callbacks, logger)
+        begin = time.process_time()
         trainer.fit(stage, ckpt_path=checkpoint, weights_only=True)
         if not stage.finished:
             raise KeyboardInterrupt
         write_text(folder / LOSSES, _table(stage.losses))
+        taken = {
+            "processor_s": round(time.process_time() - begin, 1),
+            # In kilobytes; of everything that the process has done so far.
+            "peak_memory_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024),
+        }
+        write_text(folder / RESOURCES, json.dumps(taken, indent=1) + "\n")
         networks.save(
             weights,
             {

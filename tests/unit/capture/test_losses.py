@@ -16,6 +16,7 @@ from toile.capture.deformation.graph import EmbeddedGraph, embedded_graph
 from toile.capture.garments import Garment, Material
 from toile.capture.layer.layer import GRAVITY, SimulationLayer
 from toile.capture.losses.attachment import attachment_loss
+from toile.capture.losses.balance import potential_loss
 from toile.capture.losses.joint_limits import joint_limit_loss
 from toile.capture.losses.landmarks import landmark_loss
 from toile.capture.losses.rigidity import rigidity_loss, rotation_loss
@@ -397,6 +398,69 @@ def test_the_layer_as_a_step() -> None:
     assert loss.item() == pytest.approx(9 * (first**2 + second**2), rel=1e-6)
     (found,) = torch.autograd.grad(loss, V)
     torch.testing.assert_close(found[1, :, 1], torch.full((9,), 2 * first).double(), rtol=1e-6, atol=0)
+
+
+# ---- incremental potential
+
+
+def hanging_cloth() -> tuple[SimulationLayer, Tensor, Tensor]:
+    """A cloth of 3 × 3 vertices one metre up, one corner held, and a body far below it."""
+    u, v = torch.meshgrid(torch.arange(3), torch.arange(3), indexing="ij")
+    flat = torch.stack((0.1 * u, 0 * u + 1.0, -0.1 * v), -1).double().reshape(-1, 3)
+    none = torch.zeros(0, dtype=torch.int64)
+    empty = torch.zeros(0, 3, dtype=torch.float64)
+    cloth = Garment(flat, grid_faces(3, 3), none, none, empty, empty, Material(young=50.0))
+    layer = SimulationLayer(cloth, torch.from_numpy(np.array(TINY.faces, np.int64)))
+    return layer, flat, torch.from_numpy(np.array(TINY.vertices))
+
+
+def test_potential_has_the_gradient_of_its_parts(random: torch.Generator) -> None:
+    layer, flat, body = hanging_cloth()
+    V = flat.repeat(3, 1, 1) + 0.01 * normal(3, 9, 3, random=random)
+    # Close to the body: some vertices touch it. Far away they do not.
+    for lift in (0.0, float(body[:, 1].max()) - 1.0):
+        moved = (V + torch.tensor([0.0, lift, 0.0]).double()).requires_grad_()
+        bodies = body.repeat(3, 1, 1)
+        (found,) = torch.autograd.grad(potential_loss(layer, moved, bodies, H), moved)
+        step = 1e-6
+        for t, i, k in ((1, 4, 1), (2, 0, 0), (2, 8, 1), (0, 3, 2)):
+            two = []
+            for sign in (1, -1):
+                other = moved.detach().clone()
+                other[t, i, k] += sign * step
+                # The past is given: only what the frame itself adds is differentiated.
+                terms = potential_loss(layer, other, bodies, H)
+                if t < 2:
+                    past = other[2] - 2 * other[1] + other[0]
+                    terms = terms - 0.5 * (layer.cloth.masses[:, None] * past.square()).sum() / (2 * H**2)
+                two.append(float(terms))
+            assert float(found[t, i, k]) == pytest.approx((two[0] - two[1]) / (2 * step), rel=1e-4, abs=1e-7)
+
+
+def test_what_the_layer_simulates_is_least_in_its_potential(random: torch.Generator) -> None:
+    """Implicit Euler's step is the minimum: forces vanish there, and elsewhere there is more of it."""
+    layer, flat, body = hanging_cloth()
+    before = flat + 0.005 * normal(9, 3, random=random)
+    moved = before + 0.002 * normal(9, 3, random=random)
+    step = layer.step(moved, (moved - before) / H, body, body, H)
+    assert step.converged
+    V = torch.stack((before, moved, step.positions)).requires_grad_()
+    bodies = body.repeat(3, 1, 1)
+    loss = potential_loss(layer, V, bodies, H)
+    (found,) = torch.autograd.grad(loss, V)
+    weight = float(layer.cloth.masses.max()) * GRAVITY
+    assert float(found[2].abs().max()) < 1e-3 * weight
+    assert float(found[0].abs().max()) == 0.0
+    for _ in range(5):
+        other = V.detach().clone()
+        other[2] += 1e-3 * normal(9, 3, random=random)
+        assert float(potential_loss(layer, other, bodies, H)) > float(loss.detach())
+
+
+def test_a_window_of_one_frame_has_no_potential() -> None:
+    layer, flat, body = hanging_cloth()
+    with pytest.raises(InputError, match="Window has no potential"):
+        potential_loss(layer, flat[None], body[None], H)
 
 
 # ---- together

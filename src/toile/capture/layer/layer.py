@@ -197,6 +197,12 @@ class SimulationLayer:
         m = self.garment.material
         return self.cloth.material(young=m.young, poisson=m.poisson, bending=m.bending)
 
+    def stored_energy(self, positions: Tensor) -> Tensor:
+        """Elastic and gravitational energy (...) [J] at positions (..., N, 3) [m]; differentiable."""
+        coefficients = self.cloth.energies.coefficients(self.material.values[0])
+        weight = (self._gravity * positions).sum((-2, -1))
+        return self.cloth.energies.energy(positions, coefficients) - weight
+
     def step(
         self,
         positions: Tensor,

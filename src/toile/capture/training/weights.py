@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import tempfile
+import zipfile
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from importlib import resources
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, BinaryIO, TypeVar
 
 import torch
 from torch import Tensor, nn
@@ -40,13 +42,23 @@ class NetworkSettings:
 
     Attributes:
         backbone: of both networks.
-        nodes: K, of the garment's embedded graph.
+        nodes: K, of the garment's embedded graph; None: as many as the garment has vertices. A coarser graph
+            cannot follow a garment in balance, see docs/capture.md.
         one_piece: whether body and garment are one mesh with one graph of K nodes, as in DeepCap.
     """
 
     backbone: BackboneSettings = field(default_factory=BackboneSettings)
-    nodes: Count = 96
+    nodes: Count | None = None
     one_piece: bool = False
+
+    def __post_init__(self) -> None:
+        if self.one_piece and self.nodes is None:
+            raise InputError(
+                "A graph of body and garment in one piece has no number of nodes of its own",
+                where="networks.nodes",
+                expected="a number",
+                got="null",
+            )
 
 
 @dataclass
@@ -88,18 +100,19 @@ class Networks:
         Raises:
             InputError: more nodes than the garment has vertices, or another setting that does not fit.
         """
+        nodes = len(garment.rest_vertices) if settings.nodes is None else settings.nodes
         if settings.one_piece:
-            deformation: Deformation = OnePieceDeformation(subject, garment, settings.nodes)
+            deformation: Deformation = OnePieceDeformation(subject, garment, nodes)
         else:
             graph = embedded_graph(
-                garment.rest_vertices, garment.faces, settings.nodes, fabric_rigidity(garment.material)
+                garment.rest_vertices, garment.faces, nodes, fabric_rigidity(garment.material)
             )
             deformation = Deformation(subject, garment, graph)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             limits = subject.joint_limits[deformation.driven]
             pose_net = PoseNet(settings.backbone, limits)
-            sim_net = SimNet(settings.backbone, settings.nodes) if with_sim_net else None
+            sim_net = SimNet(settings.backbone, nodes) if with_sim_net else None
         return Networks(settings, deformation, pose_net, sim_net, garment)
 
     def resized(self, settings: NetworkSettings, where: str) -> Networks:
@@ -128,7 +141,9 @@ class Networks:
         What one network has learned to see in a person helps the other; ours, not in the paper.
         """
         # Nothing of it is random: the backbone is a copy, the last layer is zero.
-        sim_net = SimNet(self.settings.backbone, self.settings.nodes)
+        graph = self.deformation.garment_mesh.graph
+        assert graph is not None
+        sim_net = SimNet(self.settings.backbone, len(graph))
         sim_net.backbone.load_state_dict(self.pose_net.backbone.state_dict())
         return replace(self, sim_net=sim_net)
 
@@ -138,7 +153,7 @@ class Networks:
         Args:
             path: file to write.
             description: how they were made: command, seed, data ...
-            half: in half precision, e.g. to be shipped; loaded, they are float32 again.
+            half: in half precision and compressed, e.g. to be shipped; loaded, they are float32 again.
         """
 
         def stored(network: nn.Module | None) -> dict[str, Tensor] | None:
@@ -160,7 +175,12 @@ class Networks:
         path.parent.mkdir(parents=True, exist_ok=True)
         # Given a path, torch would write the temporary file's name into the file.
         with written_atomically(path) as temporary, temporary.open("wb") as file:
-            torch.save(content, file)
+            if not half:
+                torch.save(content, file)
+            else:
+                whole = io.BytesIO()
+                torch.save(content, whole)
+                _compress(whole, file)
         return path
 
     def check_belongs(self, subject: Subject, garment: Garment, where: str) -> None:
@@ -207,7 +227,9 @@ def load_networks(path: Path | str | None = None, deformation: Deformation | Non
     try:
         given = content["settings"]
         settings = NetworkSettings(
-            BackboneSettings(**given["backbone"]), int(given["nodes"]), bool(given.get("one_piece", False))
+            BackboneSettings(**given["backbone"]),
+            None if given["nodes"] is None else int(given["nodes"]),
+            bool(given.get("one_piece", False)),
         )
         subject = _from_bytes(content["subject"], Subject)
         garment = _from_bytes(content["garment"], Garment)
@@ -228,6 +250,19 @@ def load_networks(path: Path | str | None = None, deformation: Deformation | Non
 def weights_digest(path: Path) -> str:
     """Short name of a file's content."""
     return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+
+
+def _compress(whole: BinaryIO, file: BinaryIO) -> None:
+    """A file of torch.save is a zip of what is not compressed; torch.load reads one that is."""
+    with (
+        zipfile.ZipFile(whole) as old,
+        zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as new,
+    ):
+        for entry in old.infolist():
+            # The day of writing is left out: the same networks give the same bytes.
+            plain = zipfile.ZipInfo(entry.filename)
+            plain.compress_type = zipfile.ZIP_DEFLATED
+            new.writestr(plain, old.read(entry.filename))
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-import numpy as np
 from torch import Tensor, nn
 
 from toile.capture.deformation.deform import Deformed
 from toile.capture.losses.landmarks import landmark_loss
-from toile.capture.losses.rigidity import rigidity_loss, rotation_loss
 from toile.capture.training.frames import Batch
 from toile.learning.capture.physics_stage import PhysicsSettings, PhysicsStage
 from toile.limits import Count, CountOrZero, NonNegative, TwoOrMore
@@ -23,17 +21,15 @@ class AdaptationSettings(PhysicsSettings):
 
     Attributes:
         landmark_weight: of Eq. 4, with pixels as shares of the image's side.
-        simulation_every: steps between two with the simulation, which takes a hundred times as long as the
-            rest; 0 leaves it out. In the steps between, rigidity keeps the garment in shape.
     """
 
     steps: Count = 300
+    batch: Count = 1
     learning_rate: NonNegative = 1e-4
-    rigidity_weight: NonNegative = 3.0
     window: TwoOrMore = 2
     replays: CountOrZero = 0
     landmark_weight: NonNegative = 10.0
-    simulation_every: NonNegative = 10
+    simulation_every: CountOrZero = 20
 
 
 class AdaptationStage(PhysicsStage):
@@ -56,22 +52,6 @@ class AdaptationStage(PhysicsStage):
         """θ and α by PoseNet, with gradients."""
         angles, root = self.pose_net(images)
         return angles, root
-
-    def terms(self, step: int, rng: np.random.Generator) -> Mapping[str, Tensor]:
-        """See Stage."""
-        s = self.settings
-        every = int(s.simulation_every)
-        if every and step % every == 0:
-            return super().terms(step, rng)
-        batch = self.data.batch([w[0] for w in self.data.draw(s.batch * s.window, 1, rng)])
-        world, A, T = self.deformed(batch, self.images_of(batch, rng))
-        graph = self.networks.deformation.garment_mesh.graph
-        assert graph is not None
-        return {
-            **self.image_terms(batch, world),
-            "rigidity": s.rigidity_weight * rigidity_loss(graph, A, T),
-            "rotations": s.rotation_weight * rotation_loss(graph, A),
-        }
 
     def image_terms(self, batch: Batch, world: Deformed) -> dict[str, Tensor]:
         """Eqs. 4, 5 and 6, with their weights."""

@@ -10,10 +10,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from toile.capture.deformation.deform import Deformed
 from toile.capture.layer.layer import LayerSettings, SimulationLayer
 from toile.capture.layer.silhouette import SilhouetteRays
 from toile.capture.layer.workers import LayerWorkers
-from toile.capture.losses.rigidity import rotation_loss
+from toile.capture.losses.balance import potential_loss
+from toile.capture.losses.rigidity import rigidity_loss, rotation_loss
 from toile.capture.losses.simulation import (
     LayerWindow,
     SimulatedWindow,
@@ -30,10 +32,14 @@ from toile.limits import Count, CountOrZero, NonNegative, Seed, TwoOrMore
 
 @dataclass(frozen=True, kw_only=True)
 class PhysicsSettings(WarmSettings):
-    """Settings of the stage; ``rigidity_weight`` is that of nothing: simulation takes its place.
+    """Settings of the stage. In the paper simulation takes the place of rigidity, whose weight is 0 here.
 
     Attributes:
         window: F, frames in a row.
+        potential_weight: of the incremental potential of the windows, see ``potential_loss`` [1/J]; ours, 0
+            leaves it out.
+        simulation_every: steps between two with the simulation, which takes a hundred times as long as the
+            rest; 0 leaves it out.
         substeps: of the layer, per frame. With one, implicit Euler damps the motion that starts when a
             strained garment is let go, which later frames would otherwise see.
         simulation_weight: of Eq. 8 [1/m²].
@@ -47,15 +53,18 @@ class PhysicsSettings(WarmSettings):
     """
 
     steps: Count = 1500
-    batch: Count = 1
-    learning_rate: NonNegative = 5e-4
+    batch: Count = 3
+    learning_rate: NonNegative = 3e-4
+    silhouette_weight: NonNegative = 150.0
     rigidity_weight: NonNegative = 0.0
     window: TwoOrMore = 3
+    potential_weight: NonNegative = 3.0
+    simulation_every: CountOrZero = 10
     substeps: Count = 1
     simulation_weight: NonNegative = 10.0
     silhouette_rays: bool = True
     through_layer: bool = False
-    replays: CountOrZero = 6
+    replays: CountOrZero = 3
     memory: Count = 40
     layer: LayerSettings = field(default_factory=LayerSettings)
 
@@ -127,9 +136,35 @@ class PhysicsStage(SimNetStage):
                 for part in batch.images.to(self.device).split(s.window)
             ]
         )
-        world, A, _ = self.deformed(batch, images)
-        earlier = [self._memory[k] for k in _drawn(len(self._memory), s.replays, rng)]
+        world, A, T = self.deformed(batch, images)
         assert world.body is not None
+        parts = [slice(k * s.window, (k + 1) * s.window) for k in range(len(windows))]
+        terms = self.image_terms(batch, world)
+        if s.simulation_every and step % s.simulation_every == 0:
+            terms["simulation"] = self._simulated(windows, world, images, rng)
+        if s.potential_weight:
+            found = [
+                potential_loss(self.layer, world.garment[frames], world.body[frames], 1 / data.fps)
+                for frames in parts
+            ]
+            terms["potential"] = s.potential_weight * torch.stack(found).mean()
+        graph = self.networks.deformation.garment_mesh.graph
+        assert graph is not None
+        if s.rigidity_weight:
+            terms["rigidity"] = s.rigidity_weight * rigidity_loss(graph, A, T)
+        return {**terms, "rotations": s.rotation_weight * rotation_loss(graph, A)}
+
+    def _simulated(
+        self,
+        windows: Sequence[Sequence[Sample]],
+        world: Deformed,
+        images: Tensor,
+        rng: np.random.Generator,
+    ) -> Tensor:
+        """Eq. 8 of the step's windows and of some earlier ones, with its weight."""
+        s, data = self.settings, self.data
+        assert world.body is not None
+        earlier = [self._memory[k] for k in _drawn(len(self._memory), s.replays, rng)]
         # What needs no gradients may go to other processes.
         garment = world.garment if s.through_layer else world.garment.detach()
         body = world.body if s.through_layer else world.body.detach()
@@ -152,14 +187,8 @@ class PhysicsStage(SimNetStage):
         last = self.last
         losses += self._replayed(earlier)
         self.last = last
-        graph = self.networks.deformation.garment_mesh.graph
-        assert graph is not None
-        return {
-            **self.image_terms(batch, world),
-            # Eqs. 5 and 6 are means over frames, Eq. 8 is a sum over those of a window.
-            "simulation": s.simulation_weight * torch.stack(losses).mean() / (s.window - 1),
-            "rotations": s.rotation_weight * rotation_loss(graph, A),
-        }
+        # Eqs. 5 and 6 are means over frames, Eq. 8 is a sum over those of a window.
+        return s.simulation_weight * torch.stack(losses).mean() / (s.window - 1)
 
     def teardown(self, stage: str) -> None:
         """Let the processes go that have simulated."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -116,8 +117,27 @@ def test_weights_survive_the_disk(networks: Networks, training_set: TrainingSet,
     back.check_belongs(training_set.subject, training_set.garment, "here")
     assert networks.save(tmp_path / "again.pt", {"seed": "0"}).read_bytes() == path.read_bytes()
     small = networks.save(tmp_path / "half.pt", {}, half=True)
+    assert networks.save(tmp_path / "half again.pt", {}, half=True).read_bytes() == small.read_bytes()
     assert small.stat().st_size < path.stat().st_size
     assert torch.allclose(load_networks(small).pose_net(images)[0], networks.pose_net(images)[0], atol=0.02)
+
+
+def test_a_graph_may_have_a_node_for_every_vertex(networks: Networks, tmp_path: Path) -> None:
+    settings = replace(networks.settings, nodes=None)
+    fine = Networks.new(networks.subject, networks.garment, settings, 0, with_sim_net=True)
+    n = len(networks.garment.rest_vertices)
+    assert fine.sim_net is not None
+    assert fine.sim_net.nodes == n
+    back = load_networks(fine.save(tmp_path / "fine.pt", {}))
+    assert back.settings.nodes is None
+    graph = back.deformation.garment_mesh.graph
+    assert graph is not None
+    # Every vertex is a node, so that each can go wherever it should.
+    assert graph.vertices.sort().values.tolist() == list(range(n))
+    weights = torch.zeros(n, n, dtype=torch.float64).scatter_add(1, graph.indices, graph.weights)
+    assert int(torch.linalg.matrix_rank(weights)) == n
+    with pytest.raises(InputError, match="one piece has no number of nodes"):
+        replace(settings, one_piece=True)
 
 
 def test_weights_that_are_none_are_refused(networks: Networks, tmp_path: Path) -> None:

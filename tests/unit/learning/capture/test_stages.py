@@ -95,7 +95,8 @@ def gradients(stage: PhysicsStage) -> torch.Tensor:
 
 
 def physics(networks: Networks, data: TrainingSet, **settings: Any) -> PhysicsStage:
-    chosen = PhysicsSettings(**{"steps": 1, "substeps": 1, "window": 2, "augmentation": STILL, **settings})
+    plain = {"steps": 1, "batch": 1, "substeps": 1, "window": 2, "simulation_every": 1, "augmentation": STILL}
+    chosen = PhysicsSettings(**{**plain, **settings})
     return PhysicsStage(chosen, networks, data, seed=0)
 
 
@@ -117,10 +118,36 @@ def test_simulation_is_a_target_without_gradients(
 
 
 def test_physics_takes_the_garment_out_of_the_body(training_set: TrainingSet, networks: Networks) -> None:
-    stage = physics(networks, training_set, steps=2, silhouette_rays=True)
+    stage = physics(networks, training_set, steps=2, silhouette_rays=True, potential_weight=0.0)
     fit(stage)
     assert stage.frames_simulated == 2
     assert stage.losses[-1]["simulation"] < stage.losses[0]["simulation"]
+
+
+def test_the_potential_alone_lowers_the_energy_of_a_stretched_garment(
+    training_set: TrainingSet, networks: Networks
+) -> None:
+    """Without a step of the layer; with a weight of 0 there is no such term."""
+    stage = physics(
+        networks,
+        training_set,
+        steps=12,
+        learning_rate=3e-3,
+        simulation_every=0,
+        silhouette_weight=0.0,
+        potential_weight=10.0,
+    )
+    assert stage.sim_net is not None
+    with torch.no_grad():
+        # Stretched and turned at random.
+        stage.sim_net.head.bias.normal_(std=0.3, generator=torch.Generator().manual_seed(0))
+    fit(stage)
+    assert stage.frames_simulated == 0
+    assert "simulation" not in stage.losses[0]
+    assert np.mean([row["potential"] for row in stage.losses[-3:]]) < 0.7 * stage.losses[0]["potential"]
+    assert "potential" not in physics(networks, training_set, potential_weight=0.0).terms(
+        0, np.random.default_rng(0)
+    )
 
 
 @pytest.mark.parametrize(("window", "expected"), [(2, 1), (4, 3)])
