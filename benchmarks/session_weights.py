@@ -81,7 +81,7 @@ def graded_evidence(folder: Path, marks: pd.DataFrame) -> pd.DataFrame:
 
     Args:
         folder: of the predictions from first clips, every session in a folder of its own.
-        marks: of all sessions, see docs/results/blind_sessions_marks.csv.
+        marks: of all sessions, see docs/results/blind_sessions_twelve_marks.csv.
     """
     rows = []
     of_motion = marks[(marks["clips"].astype(str) == "1") & ~marks["of_the_image"]]
@@ -122,7 +122,7 @@ def main() -> None:
     parser.add_argument("--graded", type=Path, help="folder of the predictions of a graded set")
     given = parser.parse_args()
     if given.graded:
-        marks = pd.read_csv(RESULTS / "blind_sessions_marks.csv")
+        marks = pd.read_csv(RESULTS / "blind_sessions_twelve_marks.csv")
         graded_evidence(given.graded, marks).to_csv(GRADED, index=False, float_format="%.5g")
     ladder = cases_of(pd.read_csv(RESULTS / "session_evidence.csv"))
     graded = pd.read_csv(GRADED)
