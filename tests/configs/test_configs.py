@@ -27,6 +27,7 @@ DELTAS = (
     "debug",
     "fabric",
     "diagnosis=quick",
+    "training=further",
     "diagnosis=fine",
     "blind=tiny",
     "blind=sessions",

@@ -4,7 +4,6 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-import torch
 
 from toile.physics.contact.planes import ContactPlanes, ContactPotential, Penalty, slip_potential, slip_slopes
 from toile.physics.implicit.linear_solvers.pattern import BlockPattern
@@ -63,26 +62,6 @@ def test_derivatives_are_those_of_finite_differences(friction: float) -> None:
     np.testing.assert_allclose(gradient, by_total, rtol=0, atol=1e-6 * np.abs(gradient).max())
     np.testing.assert_allclose(hessian, by_gradient, rtol=0, atol=1e-5 * np.abs(hessian).max())
     assert np.linalg.eigvalsh(hessian).min() > -1e-9 * np.abs(hessian).max()
-
-
-def test_forces_in_torch_are_the_negative_gradient_and_know_where_the_step_began() -> None:
-    potential, start, x = contacts(0.7)
-    begin = torch.from_numpy(start).requires_grad_()
-    friction = torch.tensor(0.7, dtype=torch.float64, requires_grad=True)
-    forces = potential.forces(torch.from_numpy(x), begin, friction)
-    np.testing.assert_allclose(forces.detach().numpy(), -potential.gradient(x), rtol=1e-9, atol=1e-12)
-    direction = np.random.default_rng(5).normal(size=x.shape)
-    to_begin, to_friction = torch.autograd.grad(
-        (forces * torch.from_numpy(direction)).sum(), (begin, friction)
-    )
-
-    def along(at: np.ndarray, mu: float) -> float:
-        return float(-(potential.begun_at(at, mu).gradient(x) * direction).sum())
-
-    change = np.random.default_rng(6).normal(size=x.shape)
-    by_begin = (along(start + 1e-7 * change, 0.7) - along(start - 1e-7 * change, 0.7)) / 2e-7
-    assert float((to_begin.numpy() * change).sum()) == pytest.approx(by_begin, rel=1e-5)
-    assert float(to_friction) == pytest.approx((along(start, 0.71) - along(start, 0.69)) / 0.02, rel=1e-9)
 
 
 def test_the_penalty_is_zero_outside_and_twice_smooth() -> None:
