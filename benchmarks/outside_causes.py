@@ -6,6 +6,7 @@ outside and all others are equally probable, and that by which its odds grow e-f
 by weights of the other sessions. What is found is kept in outputs/outside_causes: it goes on where it was.
 
     python benchmarks/outside_causes.py [--sessions air_drag:3:1 none:0:2 ...] [--known] [--ship]
+    python benchmarks/outside_causes.py --ablations [--known]  # one setting at a time, two sessions
 """
 
 from __future__ import annotations
@@ -33,13 +34,13 @@ from toile.diagnosis.outside_causes import outside_causes
 from toile.diagnosis.pipeline import Pipeline
 from toile.diagnosis.problem import DiagnosisProblem
 from toile.diagnosis.results import KINDS
+from toile.diagnosis.session_settings import FreedSettings
 from toile.diagnosis.session_stages import RefinedMotion, refining_stage, seen_clips
 from toile.diagnosis.session_weights import (
     SHIPPED,
     MotionEvidence,
     SessionCase,
     SessionWeights,
-    chances,
     learnt_weights,
     left_out_chances,
 )
@@ -54,11 +55,21 @@ FOLDER = Path("outputs") / "outside_causes"
 RESULTS = Path("docs") / "results" / "outside_causes.md"
 PLANS = DEFAULT_CLIPS[:1]
 SESSIONS = (*ladder.SESSIONS, "frame_rate:3:15")
+OF_ABLATIONS = ("blender-air_drag:3:304", "air_drag:3:1", "none:0:2")
+AS_IT_IS = "as it is"
+ABLATIONS = {
+    AS_IT_IS: FreedSettings(),
+    "image term as refined under the law": FreedSettings(rounds=0),
+    "the same, corners free": FreedSettings(rounds=0, held=0.01),
+    "the same, corners free, forces of 0.4": FreedSettings(rounds=0, held=0.01, force=0.4),
+    "forces of 0.4": FreedSettings(force=0.4),
+}
+"""By the name under which what they find is kept."""
 NAMES = tuple(name for name in OUTSIDE if name not in ladder.WITHOUT_TRACE)
 """A tilt of gravity is a wind here, which every clip has."""
 
 
-def measured(folder: Path, out: Path) -> dict[str, object]:
+def measured(folder: Path, out: Path, freed: FreedSettings) -> dict[str, object]:
     """What is found on the first clip of a session."""
     with initialize_config_dir(str(CONF), version_base=None):
         cfg = compose("diagnose", [f"session='{folder.resolve()}'", "diagnosis=quick"])
@@ -73,6 +84,7 @@ def measured(folder: Path, out: Path) -> dict[str, object]:
     settings, stiffness = asked.together, asked.clips[0].settings.stiffness
     stage = refining_stage(clips, settings, stiffness, {"together": fingerprint(settings)}, ALONE)
     motion = pipeline.run(stage, *(clip.tracked for clip in clips))
+    settings = replace(settings, freed=freed)
     began = time.process_time()
     found = outside_causes(clips, motion, settings, stiffness, effects)
     return {
@@ -155,25 +167,62 @@ def page(table: pd.DataFrame, cases: list[SessionCase], weights: SessionWeights)
     return "\n".join(lines)
 
 
+def ablations(*, known: bool) -> str:
+    """Evidence of every cause with one setting changed after the other [nats]."""
+    rows = []
+    for session in OF_ABLATIONS:
+        for title in ABLATIONS:
+            row = _kept(session, title, known=known)
+            if row is not None:
+                nats = case_of(row).evidence.outside
+                hem = {"hem [mm]": 1000 * float(str(row["hem"]))}
+                rows.append(
+                    {"session": row["session"], "settings": title}
+                    | hem
+                    | {name: nats[name].nats() for name in NAMES}
+                )
+    lines = [
+        "# Causes from outside: one setting at a time",
+        "",
+        "Made by `python benchmarks/outside_causes.py --ablations`, see [all sessions](outside_causes.md); "
+        "log evidence against none [nats], forces in m/s² per mode.",
+        "",
+        pd.DataFrame(rows).to_markdown(index=False, floatfmt=".1f"),
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _kept(session: str, settings: str = AS_IT_IS, *, known: bool) -> dict[str, object] | None:
+    """What is found on a session, now or before; None where it is not known and nothing may be computed."""
+    name = ladder.folder_of(session).name
+    kept = FOLDER / f"{name}{'' if settings == AS_IT_IS else f', {settings}'}.json"
+    if not kept.is_file():
+        if known:
+            return None
+        folder = ladder.made(session, FOLDER, PLANS)
+        found = measured(folder, FOLDER / f"{folder.name}_run", ABLATIONS[settings])
+        write_text(kept, json.dumps(found))
+    print(kept.stem, flush=True)
+    row: dict[str, object] = json.loads(kept.read_text())
+    return row
+
+
 def main() -> None:
     """Write docs/results/outside_causes.md and .csv, and with --ship the two weights."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--sessions", nargs="+", default=SESSIONS)
     parser.add_argument("--known", action="store_true", help="compute nothing: the tables of what is kept")
+    parser.add_argument("--ablations", action="store_true", help="write outside_causes_ablations.md only")
     parser.add_argument("--ship", action="store_true", help="put the weights into the package")
     given = parser.parse_args()
     torch.set_num_threads(1)
     register_resolvers()
-    rows: list[dict[str, object]] = []
-    for session in given.sessions:
-        kept = FOLDER / f"{ladder.folder_of(session).name}.json"
-        if not kept.is_file():
-            if given.known:
-                continue
-            folder = ladder.made(session, FOLDER, PLANS)
-            write_text(kept, json.dumps(measured(folder, FOLDER / f"{folder.name}_run")))
-        rows.append(json.loads(kept.read_text()))
-        print(rows[-1]["session"], flush=True)
+    if given.ablations:
+        write_text(RESULTS.with_name("outside_causes_ablations.md"), ablations(known=given.known))
+        return
+    each = [_kept(session, known=given.known) for session in given.sessions]
+    rows = [row for row in each if row is not None]
     cases = [case_of(row) for row in rows]
     learnt = learnt_weights(cases)
     table = table_of(rows, left_out_chances(cases))
@@ -188,7 +237,6 @@ def main() -> None:
         )
         shipped.write(SHIPPED, f"{source}; causes from outside: {len(cases)} sessions of {RESULTS}")
     print(RESULTS.read_text())
-    print([round(chances(case.evidence, learnt)[case.cause], 2) for case in cases])
 
 
 if __name__ == "__main__":

@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -101,7 +100,7 @@ def cause_of(folder: str) -> str:
     return folder.rsplit("_", 2)[0].removeprefix(BLENDER)
 
 
-def made(session: str, within: Path = FOLDER, plans: Sequence[ClipPlan] = DEFAULT_CLIPS) -> Path:
+def made(session: str, within: Path = FOLDER, plans: tuple[ClipPlan, ...] = DEFAULT_CLIPS) -> Path:
     """A session that SESSIONS names, with the truth beside its clips."""
     folder = folder_of(session, within)
     name, size, seed = session.removeprefix(BLENDER).split(":")

@@ -252,9 +252,11 @@ def learnt_weights(cases: Sequence[SessionCase], prior: SessionWeights | None = 
         names = (*names, "outside_threshold", "outside_temperature")
     if any(case.evidence.usual for case in cases):
         names = (*names, "usual_size")
-    if any(case.evidence.sizes for case in cases):
+    # What causes from outside say alone teaches only what they are worth.
+    within = [case.evidence for case in cases if case.evidence.effects]
+    if any(evidence.sizes for evidence in within):
         names = (*names, "smallest")
-    if any(case.evidence.usual or case.evidence.sizes for case in cases):
+    if any(evidence.usual or evidence.sizes for evidence in within):
         names = (*names, "beyond")
     start = np.log([getattr(begin, name) for name in names])
 
