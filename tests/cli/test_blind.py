@@ -128,6 +128,10 @@ def test_a_set_may_be_cut_short_and_grows_again(blind) -> None:
     assert cut["scenes"] == names[:2]
     assert "first 2 of 3" in " ".join(cut["notes"])
     assert set(json.loads((SET / "commitments.json").read_text())["commitments"]) == set(names[:2])
+    # What only cuts a set when it is made is refused elsewhere, not ignored.
+    refused = blind("run", "first=1")
+    assert refused.status != 0
+    assert "another number of scenes" in refused.err
     assert blind("run").status == 0
     assert blind("make").status == 0
     assert json.loads((SET / "set.json").read_text())["scenes"] == names

@@ -94,6 +94,13 @@ def run(cfg: DictConfig) -> None:
             expected=f"a file outside {blind.folder.parent}",
             got=str(cfg.key),
         )
+    if cfg.first is not None and action != "make" and int(cfg.first) != len(blind.names()):
+        raise InputError(
+            "The set has another number of scenes",
+            where="first",
+            expected=f"{len(blind.names())}, or toile blind make with the same first=",
+            got=str(cfg.first),
+        )
     actions[action](cfg, blind)
 
 
@@ -257,9 +264,10 @@ def _grade(cfg: DictConfig, blind: BlindSet) -> None:
 def _grade_sessions(cfg: DictConfig, blind: BlindSet) -> None:
     """Mark what there is of: all clips, the first one alone or as a scene, and all with the one asked for."""
     clips = len(clips_of(cfg))
+    # Sessions of one clip have no other answers from the first alone.
     kinds = {
         str(clips): _predictions(cfg),
-        "1": _predictions(cfg, "one_clip"),
+        **({"1": _predictions(cfg, "one_clip")} if clips > 1 else {}),
         "1, as a scene": _predictions(cfg, "as_scene"),
         f"{clips}+1": _predictions(cfg, "extended"),
     }
