@@ -75,6 +75,7 @@ COMMAND_SETTINGS: Mapping[str, Any] = {
     "mujoco": bool,
     "clips": tuple[str, ...],
     "alias": Fraction,
+    "tables.known": bool,
     "bootstrap": Count,
     "left_out": bool,
     "exact_steps": bool,
