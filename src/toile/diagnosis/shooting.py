@@ -137,6 +137,8 @@ class WindowMotion:
         positions: of all sub-steps [(last - first) substeps + 1, N, 3].
         start, end: states at ``first`` and ``last`` as simulated.
         converged: whether every step did.
+        slower: true time between frames over the nominal one. The start's velocities are of the nominal
+            time, as those of the reference, the end's of the true one.
     """
 
     first: int
@@ -147,6 +149,7 @@ class WindowMotion:
     start: State | None = None
     end: State | None = None
     converged: bool = True
+    slower: float = 1.0
 
 
 def cosine_modes(grid: tuple[int, int], n: int) -> Array:
@@ -391,6 +394,7 @@ class Shooting:
             start=state,
             end=motion.steps[-1].state,
             converged=good,
+            slower=simulator.time_step / self.simulator.time_step,
         )
 
     def image_cost(self, window: WindowMotion) -> float:
@@ -432,7 +436,7 @@ class Shooting:
         assert before.end is not None
         assert window.start is not None
         positions = (window.start.positions - before.end.positions)[0].numpy()
-        velocities = (window.start.velocities - before.end.velocities)[0].numpy()
+        velocities = (window.start.velocities - before.slower * before.end.velocities)[0].numpy()
         return self._in_jumps(positions.reshape(-1, 1), velocities.reshape(-1, 1))[:, 0]
 
     def jump_ratio(self) -> Array:
@@ -540,7 +544,9 @@ class Shooting:
             information = self.tracked.information[f]
             G += (J.T @ (information @ J)).astype(np.float64)
             g += J.T.astype(np.float64) @ self.tracked.slope(f, frames[i])
-        return self.weight * G, self.weight * g, self._in_jumps(*end)
+        positions, velocities = end
+        slower = np.float32(simulator.time_step / self.simulator.time_step)
+        return self.weight * G, self.weight * g, self._in_jumps(positions, slower * velocities)
 
 
 @torch.no_grad()

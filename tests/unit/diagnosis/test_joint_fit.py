@@ -52,9 +52,10 @@ def clip(wind: tuple[float, float], effects: tuple[Effect, ...]) -> tuple[Shooti
     boundary = start[0, cloth.pinned].expand(FRAMES, -1, -1)
     given = setting(effects, around, boundary, torch.from_numpy(np.array(wind) @ HORIZONTAL))
     h = 1 / FPS / SUBSTEPS
-    real = ImplicitSimulator(given.cloth, h, BDF2(), NewtonSettings(1e-8), given.terms)
+    true_h = float(given.frame_interval) / SUBSTEPS
+    real = ImplicitSimulator(given.cloth, true_h, BDF2(), NewtonSettings(1e-8), given.terms)
     k = torch.from_numpy(STIFFNESS)[:, None]
-    state = State.start(start, torch.zeros_like(start), h, real.n_past)
+    state = State.start(start, torch.zeros_like(start), true_h, real.n_past)
     with torch.no_grad():
         motion = rollout(
             real, state, grid_material(k[0], k[1], k[2]), given.forces[None], given.boundary[None], SUBSTEPS
@@ -182,6 +183,20 @@ class TestFits:
         start = loose.start_fit()
         bought = loose.fitted((), start).misfit - loose.fitted((drag(0.0),), start).misfit
         assert bought < 0.3 * (dragged.base.misfit - dragged.drag.misfit)
+
+
+class TestWrongClock:
+    def test_a_wrong_clock_is_found_across_windows(self) -> None:
+        """Ends are as fast in true time as the next starts in nominal time: no jump for the clock's sake."""
+        log_factor = 0.1
+        acting = CATALOGUE["frame_rate"]({"log_factor": log_factor})
+        clips = [joint_clip(*clip(wind, (acting,)), FRAMES) for wind in WINDS]
+        assert all(len(one.windows) > 1 for one in clips)
+        fitting = JointFitting(clips, 1.5 * STIFFNESS, np.zeros(3))
+        base = fitting.fitted((), fitting.start_fit())
+        found = fitting.fitted((CATALOGUE["frame_rate"](),), base)
+        assert found.misfit < 0.2 * base.misfit
+        assert found.own[0] * acting.scales[0] == pytest.approx(log_factor, rel=0.1)
 
 
 class TestCausesFromOutside:
