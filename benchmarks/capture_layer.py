@@ -544,8 +544,8 @@ PARTS: dict[str, tuple[str, Callable[[], Iterator[Case]]]] = {
     "batches": (
         f"A batch of {BATCH_WINDOWS} windows of a training ({BATCH_FRAMES} frames, one sub-step per frame), "
         f"one after the other and in two processes: the fastest and the slowest of {BATCH_REPEATS} on two "
-        "cores that others use as well. The first batch starts the processes. Seconds of the processor are "
-        "those of all processes.",
+        "cores. The first batch starts the processes. Seconds of the processor are those of all processes. "
+        "Same digits: as one after the other, where that has one thread as well (OMP_NUM_THREADS=1).",
         batches,
     ),
     "silhouettes": (

@@ -1,4 +1,4 @@
-"""Independent steps and windows of one layer in processes; the digits do not depend on how many there are."""
+"""Independent steps and windows of one layer in processes, with the digits of one after the other."""
 
 from __future__ import annotations
 
@@ -18,6 +18,10 @@ R = TypeVar("R")
 
 class LayerWorkers:
     """Processes that hold a copy of a layer each, with one thread; to be used in a ``with``.
+
+    Digits are those of this process where its BLAS has one thread too, which it takes from OMP_NUM_THREADS
+    and OPENBLAS_NUM_THREADS when it is loaded; ``toile`` and ``make`` set both to 1. With more, sums in the
+    factor of the matrix come in another order.
 
     A copy is made when the first work comes: some seconds, for imports and for the pattern of the matrix.
 
