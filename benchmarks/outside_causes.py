@@ -28,6 +28,7 @@ from toile.cli.configuration import CONF, register_resolvers
 from toile.cli.diagnose import session_problem
 from toile.diagnosis.decision import NONE
 from toile.diagnosis.effect_evidence import EffectEvidence
+from toile.diagnosis.findings import WIDENED
 from toile.diagnosis.fingerprint import fingerprint
 from toile.diagnosis.model_errors import ModelErrors
 from toile.diagnosis.outside_causes import outside_causes
@@ -93,7 +94,7 @@ def measured(folder: Path, out: Path, freed: FreedSettings) -> dict[str, object]
         "converged": found.converged,
         "cpu": time.process_time() - began,
         "causes": {
-            name: {"moves": cause.moves, **asdict(cause.evidence)} for name, cause in found.causes.items()
+            name: {"moves": cause.displacement.last, **asdict(cause.evidence)} for name, cause in found.causes.items()
         },
     }
 
@@ -111,6 +112,16 @@ def case_of(row: dict[str, object]) -> SessionCase:
     cause = ladder.cause_of(session)
     evidence = MotionEvidence(ModelErrors(1.0, 1.0, 0.001), {}, sizes=sizes, outside=outside)
     return SessionCase(session, cause if cause in NAMES else NONE, evidence)
+
+
+def size_spread(cases: list[SessionCase]) -> float:
+    """Deviation of the logarithm of estimated over asked sizes of the causes from outside."""
+    ratios = [
+        case.evidence.sizes[case.cause] * 100 / float(case.session.split("_")[-2])
+        for case in cases
+        if case.cause != NONE
+    ]
+    return float(np.sqrt(np.mean(np.log(ratios) ** 2)))
 
 
 def table_of(rows: list[dict[str, object]], answers: list[dict[str, float]]) -> pd.DataFrame:
@@ -159,7 +170,8 @@ def page(table: pd.DataFrame, cases: list[SessionCase], weights: SessionWeights)
         "sessions (nulls, and causes within the cloth) no cause from outside gains more than "
         f"{others.max():.0f} (median {others.median():.1f}). By weights that the session had no part in, "
         f"{right} causes are named with 0.9 or more, {wrong} wrongly. Learnt from all: evenly at "
-        f"{weights.outside_threshold:.1f} nats, e-fold by {weights.outside_temperature:.1f}.",
+        f"{weights.outside_threshold:.1f} nats, e-fold by {weights.outside_temperature:.1f}. Sizes that are "
+        f"estimated are off by {100 * size_spread(cases):.0f} % (root mean square of the logarithm).",
         "",
         table.to_markdown(index=False, floatfmt=formats),
         "",
@@ -224,7 +236,7 @@ def main() -> None:
     each = [_kept(session, known=given.known) for session in given.sessions]
     rows = [row for row in each if row is not None]
     cases = [case_of(row) for row in rows]
-    learnt = learnt_weights(cases)
+    learnt = replace(learnt_weights(cases), outside_spread=size_spread(cases) / WIDENED)
     table = table_of(rows, left_out_chances(cases))
     table.to_csv(RESULTS.with_suffix(".csv"), index=False, float_format="%.4g")
     write_text(RESULTS, page(table, cases, learnt))
@@ -234,6 +246,7 @@ def main() -> None:
             SessionWeights.load(),
             outside_threshold=learnt.outside_threshold,
             outside_temperature=learnt.outside_temperature,
+            outside_spread=learnt.outside_spread,
         )
         shipped.write(SHIPPED, f"{source}; causes from outside: {len(cases)} sessions of {RESULTS}")
     print(RESULTS.read_text())

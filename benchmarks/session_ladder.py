@@ -26,7 +26,7 @@ from toile.cli.configuration import CONF, register_resolvers
 from toile.cli.diagnose import session_problem
 from toile.diagnosis.effect_evidence import EffectEvidence
 from toile.diagnosis.effect_sensitivities import FORCES
-from toile.diagnosis.effect_size import moved
+from toile.diagnosis.effect_size import displacement
 from toile.diagnosis.fingerprint import fingerprint
 from toile.diagnosis.joint_fit import JointFit
 from toile.diagnosis.pipeline import Pipeline
@@ -168,7 +168,7 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
         before = _evidence(against, fit)
         if effect in chosen:
             fit = fitting.fitted(fitting.hypothesis(effect, base), base)
-        far = moved(fitting.clips, fitting.start, fit, model.width)
+        far = displacement(fitting.clips, fitting.start, fit, model.width).last
         found = _evidence(against, fit)
         rows.append(
             {

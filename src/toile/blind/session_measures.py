@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 from scipy.stats import binomtest
+from sklearn.metrics import f1_score
 
 from toile.blind.answers import Answer
 from toile.blind.measures import CONFIDENT, kind_of, localisation, magnitude, size_in_label, truth_of
@@ -27,6 +28,8 @@ Array = NDArray[np.float64]
 LARGE = 3.0
 """Size from which the table asks for a name [% of the width]; 3 % is asked for, so a bit less is made."""
 _TOLERANCE = 0.75
+MOVED = 0.005
+"""Mean distance from which on a frame is one in which an effect moves the cloth [widths]."""
 BINS = 10
 """Of stated probabilities, of equal width."""
 _OF_THE_IMAGE = (Stage.CAMERA, Stage.APPEARANCE, Stage.OBSERVATION)
@@ -85,6 +88,8 @@ def mark_session(
         row |= magnitude(answer.report, first, truth[0])
         row["relative_size"] = _relative_size(answer, truth[0])
     row |= localisation(answer.report, _as_reported(answer, sealed), folder)
+    if kind in ("single", "pair"):
+        row |= _when(answer, label)
     return row
 
 
@@ -337,6 +342,24 @@ def _stated(answer: Answer, kind: str, truth: tuple[str, ...]) -> dict[str, Any]
     members, stated = max(summed.items(), key=lambda item: item[1])
     wanted = UNKNOWN if kind == "outside" else truth[0]
     return {"stated": min(max(stated, 0.0), 1.0), "stated_right": wanted in members}
+
+
+def _when(answer: Answer, label: Mapping[str, Any]) -> dict[str, Any]:
+    """F1 of the frames in which the first clip's cloth is elsewhere than without the effects.
+
+    The truth is alike for all generators: mean distance to the twin beyond half a percent of the width, where
+    that is so in some frames and not in others. The answer's frames are those in which the most probable
+    effect moves the cloth as far. Instead of it, where a diagnosis says so, of the frames that the generator
+    calls the effect's own.
+    """
+    session = answer.report.session
+    away = np.array(label["magnitude"].get("per_frame_mean", ()), np.float64)
+    if session is None or not session.moved or len(session.moved) != len(away):
+        return {}
+    truth = away > 100 * MOVED
+    if truth.all() or not truth.any():
+        return {}
+    return {"frames_f1": float(f1_score(truth, np.array(session.moved) > MOVED))}
 
 
 def _relative_size(answer: Answer, truth: str) -> float:

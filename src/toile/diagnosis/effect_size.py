@@ -8,6 +8,7 @@ Testing precise hypotheses).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,11 +47,29 @@ def effect_size(mechanics: Mechanics, model: Refit) -> float:
     return float(np.mean(away))
 
 
-def moved(clips: Sequence[JointClip], start: Array, fit: JointFit, width: float) -> float:
-    """How far the effect in question moves the cloth [widths].
+@dataclass(frozen=True)
+class Displacement:
+    """How far an effect moves the cloth of the first clip, all else equal [widths].
 
-    The first clip is simulated from its first frame to its last, with the effect and without, all else equal;
-    what counts is the mean distance in the last third, as for sizes that a generated scene is asked for.
+    Attributes:
+        frames: mean distance over the cloth, with the effect and without (F,).
+        last: mean distance in the last third, for which sizes of generated scenes are asked.
+    """
+
+    frames: Array
+    last: float
+
+    @staticmethod
+    def none(n_frames: int) -> Displacement:
+        """Of an effect that does nothing."""
+        return Displacement(np.zeros(n_frames), 0.0)
+
+
+def displacement(clips: Sequence[JointClip], start: Array, fit: JointFit, width: float) -> Displacement:
+    """How far the effect in question moves the cloth of the first clip.
+
+    The clip is simulated from its first frame to its last, with the effect and without, all else equal. What
+    blows up is simulated in shorter pieces; where even those do, the distance is infinite.
 
     Args:
         clips: of the session.
@@ -58,27 +77,29 @@ def moved(clips: Sequence[JointClip], start: Array, fit: JointFit, width: float)
         fit: in which one effect is in question.
         width: of the cloth [m].
     """
-    if not np.any(fit.own):
-        return 0.0
     clip, n_material = clips[0], len(start)
+    frames = clip.windows[-1].last
+    if not np.any(fit.own):
+        return Displacement.none(frames + 1)
     # Effects of the base model act in both.
     usual = fit.effects[0][:-1] if fit.n_usual else ()
     values = np.concatenate((fit.values[:n_material], fit.values[n_material : n_material + N_WIND]))
     base = base_of(start, values)
-    frames = clip.windows[-1].last
-    while True:
-        away = _distance(clip, base, usual, fit.effects[0], frames)
-        if away is not None or frames < _FEWEST:
-            break
-        # What blows up is tried in shorter pieces.
-        frames = frames // 2
-    return np.inf if away is None else away / width
+    found = None
+    length = frames
+    while found is None and length >= _FEWEST:
+        found = _distances(clip, base, usual, fit.effects[0], length)
+        length //= 2
+    if found is None:
+        return Displacement(np.full(frames + 1, np.inf), np.inf)
+    every = np.concatenate([np.zeros(1), *(piece[1:] for piece in found)]) / width
+    return Displacement(every, float(np.mean([piece[2 * len(piece) // 3 :].mean() for piece in found])) / width)
 
 
-def _distance(
+def _distances(
     clip: JointClip, base: Base, usual: tuple[Effect, ...], effects: tuple[Effect, ...], frames: int
-) -> float | None:
-    """Mean distance in the last third of pieces of so many frames [m]; None where a step fails."""
+) -> list[Array] | None:
+    """Mean distance of every frame of pieces of so many frames [m]; None where a step fails."""
     shooting = clip.shooting.with_window(frames)
     away = []
     for window in tracked_windows(shooting, clip.windows[-1].last + 1):
@@ -92,5 +113,5 @@ def _distance(
         if not all(one.converged for one in both):
             return None
         distance = np.linalg.norm((both[1].positions - both[0].positions)[:: shooting.substeps], axis=-1)
-        away.append(distance[2 * len(distance) // 3 :].mean())
-    return float(np.mean(away))
+        away.append(distance.mean(axis=tuple(range(1, distance.ndim))))
+    return away

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toile.diagnosis.effect_evidence import EffectEvidence
-from toile.diagnosis.effect_size import moved
+from toile.diagnosis.effect_size import Displacement, displacement
 from toile.diagnosis.fingerprint import fingerprint
 from toile.diagnosis.hem import Hem
 from toile.diagnosis.joint_fit import JointFit, JointFitting
@@ -43,13 +43,13 @@ class OutsideCause:
         evidence: against none of them.
         coefficients: in prior deviations, see SharedLayout (n,).
         covariance: of them (n, n).
-        moves: the cloth by so much, see effect_size.moved [widths].
+        displacement: how far it moves the cloth.
     """
 
     evidence: EffectEvidence
     coefficients: Array
     covariance: Array
-    moves: float
+    displacement: Displacement
 
 
 @dataclass(frozen=True)
@@ -138,7 +138,7 @@ def judged(
                 EffectEvidence.of(base.misfit - fit.misfit, fit.own, fit.own_covariance, fit.size),
                 fit.own,
                 fit.own_covariance,
-                moved(fitting.clips, fitting.start, fit, width),
+                displacement(fitting.clips, fitting.start, fit, width),
             )
             for name, fit in found.items()
         },

@@ -245,6 +245,9 @@ class SessionAnswer:
         next_clip: motion of the clip to record next, "" for none.
         expected_information: by motion, what one more clip would add to the answer [nats]; {} where the
             answer is clear.
+        moved_by: the most probable of the effects that move the cloth, "" in files of before.
+        moved: mean distance by which that effect moves the cloth in every frame of the first clip, all else
+            equal [widths]; () where it is not known.
     """
 
     clips: tuple[str, ...]
@@ -255,6 +258,8 @@ class SessionAnswer:
     left: float
     next_clip: str = ""
     expected_information: dict[str, float] = field(default_factory=dict)
+    moved_by: str = ""
+    moved: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)

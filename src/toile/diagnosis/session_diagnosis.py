@@ -15,7 +15,7 @@ from toile.diagnosis.arrays import FRAMES_FILE, VERTICES_FILE
 from toile.diagnosis.decision import UNKNOWN, Calibration
 from toile.diagnosis.effect_evidence import EffectEvidence
 from toile.diagnosis.effect_sensitivities import FORCES
-from toile.diagnosis.effect_size import moved
+from toile.diagnosis.effect_size import Displacement, displacement
 from toile.diagnosis.findings import estimates
 from toile.diagnosis.fingerprint import fingerprint
 from toile.diagnosis.gap_maps import stage_shares
@@ -94,6 +94,7 @@ class _Found:
     alias: Alias
     left_out: LeftOut
     gains: dict[str, float]
+    displacements: dict[str, Displacement]
 
 
 def diagnose_session(
@@ -129,7 +130,7 @@ def diagnose_session(
     times = StageTimes.going_on(folder / TIMES_FILE)
     # Usual effects act whether they are candidates or not.
     acting = (*(CATALOGUE[name]() for name in together.usual), *effects)
-    kinds = (*KINDS, JointFit, RefinedMotion, OutsideCauses, OutsideCause, EffectEvidence)
+    kinds = (*KINDS, JointFit, RefinedMotion, OutsideCauses, OutsideCause, EffectEvidence, Displacement)
     store = StageStore(folder, ValueStore(kinds, acting), times)
     pipeline = Pipeline(store, progress)
     names = list(dict.fromkeys(clip.device for clip in session.clips))
@@ -175,8 +176,12 @@ def diagnose_session(
     of_images = [clip.seen.findings for clip in clips]
     learned = learned_chances(clips, motion)
     fitting = model.fitting
-    sizes = {name: moved(fitting.clips, fitting.start, fit, model.width) for name, fit in fits.items()}
+    displacements = {
+        name: displacement(fitting.clips, fitting.start, fit, model.width) for name, fit in fits.items()
+    }
+    sizes = {name: one.last for name, one in displacements.items()}
     every = {name: sizes.pop(name) for name in usual.names if name in fits}
+    displacements |= {name: cause.displacement for name, cause in outside.causes.items()}
     evidence = session_evidence(
         base,
         fits,
@@ -227,7 +232,7 @@ def diagnose_session(
         together.seed,
     )
     progress("answer", 0.99)
-    found = _Found(clips, model, base, fits, evidence, weights, alias, left_out, gains)
+    found = _Found(clips, model, base, fits, evidence, weights, alias, left_out, gains, displacements)
     return _report(found, effects, settings, together, calibration, session, folder)
 
 
@@ -283,6 +288,9 @@ def _report(
     scores = {name: max(one.log_evidence, 0.0) for name, one in evidence.findings.items()}
     mean = np.concatenate(distances).mean((1, 2))
     drops = {**image_evidence, **evidence.drops}
+    # What may be moving the cloth, even where that may as well be nothing.
+    moving = next((name for name in evidence.chances if name in found.displacements), "")
+    moved = found.displacements[moving].frames.tolist() if moving else []
     return GapReport(
         verdict,
         Where(
@@ -319,6 +327,8 @@ def _report(
             evidence.left,
             following,
             dict(gains),
+            moving,
+            tuple(moved) if np.isfinite(moved).all() else (),
         ),
     )
 

@@ -82,7 +82,7 @@ def session_evidence(
     by_name = {effect.NAME: effect for effect in effects}
     motion = replace(
         _of_motion(base, fits, errors, learned, usual or {}, plain),
-        sizes={**(sizes or {}), **{name: cause.moves for name, cause in outside.items()}},
+        sizes={**(sizes or {}), **{name: cause.displacement.last for name, cause in outside.items()}},
         outside={name: cause.evidence for name, cause in outside.items()},
     )
     drops = {name: one.drop for name, one in motion.effects.items()}
@@ -103,12 +103,11 @@ def session_evidence(
         findings[name] = finding(by_name[name], motion.nats(name), fit.own[:n], covariance)
         if name in outside:
             cause = outside[name]
-            findings[name] = finding(
-                by_name[name],
-                cause.evidence.nats(),
-                cause.coefficients[:n],
-                cause.covariance[:n, :n],
-            )
+            found = cause.coefficients[:n]
+            # All coefficients are too large or too small together.
+            together = weights.outside_spread**2 * np.outer(found, found)
+            covariance = cause.covariance[:n, :n] + together
+            findings[name] = finding(by_name[name], cause.evidence.nats(), found, covariance)
     logits[UNKNOWN] = none + float(weights.strangeness * np.log(left / weights.strange))
     return SessionEvidence(findings, drops, _chances(logits), left, scale, motion)
 

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import logsumexp, softmax
+from scipy.stats import norm
 
 from toile.atomic_file import write_text
 from toile.diagnosis.decision import NONE
@@ -35,6 +36,12 @@ SHIPPED = Path(__file__).with_name("session_weights.json")
 USUAL_SHARE = 0.0025
 """Errors that a base model of an unknown cloth may have [widths]."""
 
+_LARGEST = 0.15
+"""Distance by which causes move the cloth at most [widths]."""
+
+_CAUSES = 10.0
+"""Effects that move a cloth, as probable as none together: what a single one is up against."""
+
 _LAPSE = 0.02
 """Share of cases that teach nothing, because what acts is too small to be seen or a fit has failed."""
 
@@ -47,22 +54,27 @@ class SessionWeights:
     """How evidence of the motion becomes a probability.
 
     Attributes:
-        usual_size: distance by which an effect that every cloth has usually moves it, in the last third of
-            the first clip [widths]: at that size, a cause and none are equally probable.
-        smallest: the same for every other effect, see MotionEvidence.logits.
-        beyond: e-folds of the odds against none at most for each logarithm beyond these distances.
+        usual_size: distance by which an effect that every cloth has moves it, in the last third of the first
+            clip [widths], the median over cloths and solvers.
+        usual_spread: deviation of its logarithm over them.
+        smallest: distance at which any other effect, as a cause, and none are equally probable, see
+            MotionEvidence.logits.
+        beyond: e-folds of the odds against none at most for each logarithm beyond that distance.
         threshold: evidence at which an effect and none are equally probable [nats].
         temperature: evidence by which the odds of an effect grow e-fold [nats].
         learned: weight of the learned decision's log odds among effects.
         outside_threshold: evidence, the forces within the cloth free, at which a cause from outside and all
             that is not from there are equally probable [nats].
         outside_temperature: evidence by which its odds grow e-fold [nats].
+        outside_spread: deviation of the strength of a cause from outside, as a share of it, beside what its fit
+            says and before intervals are widened (DiagnosisSettings.widened).
         strange: squared errors that the best hypothesis leaves, over those of USUAL_SHARE, where something
             unknown and none are equally probable.
         strangeness: e-folds of the odds of something unknown for each logarithm beyond that.
     """
 
-    usual_size: float = 0.025
+    usual_size: float = 0.019
+    usual_spread: float = 0.4
     smallest: float = 0.008
     beyond: float = 12.0
     threshold: float = 17.0
@@ -70,6 +82,7 @@ class SessionWeights:
     learned: float = 0.5
     outside_threshold: float = 15.0
     outside_temperature: float = 4.0
+    outside_spread: float = 0.14
     strange: float = 4.0
     strangeness: float = 4.0
 
@@ -205,7 +218,7 @@ class MotionEvidence:
             if name in self.usual:
                 # Rivals are fitted beside it: its evidence, against a model without, is not to be set against
                 # theirs. However sure it is that it acts, it is a cause only where it is more than usual.
-                odds[name] = min(value, _beyond(self.usual[name], weights.usual_size, weights))
+                odds[name] = min(value, _more_than_usual(self.usual[name], weights))
             elif name in self.sizes:
                 # Shares of none and of a cause in what speaks for the effect.
                 beyond = _beyond(self.sizes[name], weights.smallest, weights)
@@ -251,13 +264,11 @@ def learnt_weights(cases: Sequence[SessionCase], prior: SessionWeights | None = 
     if any(case.evidence.outside for case in cases):
         names = (*names, "outside_threshold", "outside_temperature")
     if any(case.evidence.usual for case in cases):
-        names = (*names, "usual_size")
+        names = (*names, "usual_size", "usual_spread")
     # What causes from outside say alone teaches only what they are worth.
     within = [case.evidence for case in cases if case.evidence.effects]
     if any(evidence.sizes for evidence in within):
-        names = (*names, "smallest")
-    if any(evidence.usual or evidence.sizes for evidence in within):
-        names = (*names, "beyond")
+        names = (*names, "smallest", "beyond")
     start = np.log([getattr(begin, name) for name in names])
 
     def of(logs: Array) -> SessionWeights:
@@ -290,6 +301,18 @@ def left_out_chances(cases: Sequence[SessionCase]) -> list[dict[str, float]]:
 def _beyond(size: float, least: float, weights: SessionWeights) -> float:
     """Log odds of a cause against none by its size alone."""
     return weights.beyond * float(np.log(max(size, _LEAST) / least))
+
+
+def _more_than_usual(size: float, weights: SessionWeights) -> float:
+    """Log odds of an effect that every cloth has, as a cause, against its usual strength, by its size alone.
+
+    The logarithm of what is usual has a normal distribution over cloths and solvers; a cause comes on top of
+    it, its total evenly distributed in the logarithm up to _LARGEST.
+    """
+    x, median, spread = np.log(max(size, _LEAST)), np.log(weights.usual_size), weights.usual_spread
+    width = max(np.log(_LARGEST) - median, 1.0)
+    cause = norm.logcdf(x, median, spread) - np.log(width)
+    return float(cause - norm.logpdf(x, median, spread) - np.log(_CAUSES))
 
 
 @lru_cache(maxsize=4096)

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from toile.diagnosis.base_fit import base_of, base_sensitivities, local_scales, nothing_seen
-from toile.diagnosis.effect_size import moved
+from toile.diagnosis.effect_size import displacement
 from toile.diagnosis.hem import Hem
 from toile.diagnosis.joint_fit import JointFit, JointFitSettings, JointFitting, SharedLayout, joint_clip
 from toile.diagnosis.left_out import left_out_shrinks
@@ -126,7 +126,7 @@ class TestFits:
     def test_how_far_an_effect_moves_the_cloth(self, dragged: Problem) -> None:
         """As far as the clips themselves say: with the drag against without it, all else equal."""
         fit, fitting = dragged.drag, dragged.fitting
-        far = moved(fitting.clips, fitting.start, fit, 0.3)
+        far = displacement(fitting.clips, fitting.start, fit, 0.3).last
         of_clips = [clip(WINDS[0], effects)[0].tracked.positions for effects in (fit.effects[0], ())]
         away = np.linalg.norm(of_clips[0] - of_clips[1], axis=-1)[2 * FRAMES // 3 :].mean() / 0.3
         assert far == pytest.approx(away, rel=0.4)
@@ -134,9 +134,9 @@ class TestFits:
         (acting,) = fit.effects[0]
         half = acting_with(acting, 0.5 * fit.coefficients)
         weaker = replace(fit, coefficients=0.5 * fit.coefficients, effects=[(half,)] * 2)
-        assert moved(fitting.clips, fitting.start, weaker, 0.3) == pytest.approx(0.5 * far, rel=0.3)
+        assert displacement(fitting.clips, fitting.start, weaker, 0.3).last == pytest.approx(0.5 * far, rel=0.3)
         nothing = replace(fit, coefficients=np.zeros_like(fit.coefficients))
-        assert moved(fitting.clips, fitting.start, nothing, 0.3) == 0.0
+        assert displacement(fitting.clips, fitting.start, nothing, 0.3).last == 0.0
 
     def test_no_effect_gains_where_none_acts(self, still: Problem) -> None:
         assert still.base.misfit - still.drag.misfit < still.drag.occam
@@ -241,7 +241,7 @@ class TestCausesFromOutside:
         nats = {one: cause.evidence.nats() for one, cause in causes.items()}
         assert max(nats, key=lambda one: nats[one]) == name
         assert nats[name] > 4
-        assert causes[name].moves > 0.01
+        assert causes[name].displacement.last > 0.01
 
     def test_what_acts_within_leaves_no_trace(self) -> None:
         curled, uneven = {"axis_0": 12.0}, {"stretching": 1.5, "bending": 1.5}

@@ -62,13 +62,13 @@ def test_what_every_cloth_has_is_a_cause_only_where_there_is_more_of_it() -> Non
     weights = SessionWeights()
     sure = evidence((3.0, 90.0, 2.0))
     usual, more = (
-        replace(sure, usual={"internal_damping": size * weights.usual_size}) for size in (0.7, 1.5)
+        replace(sure, usual={"internal_damping": size * weights.usual_size}) for size in (1.0, 4.0)
     )
     assert chances(sure, weights)["internal_damping"] > 0.99
     assert chances(more, weights)["internal_damping"] > 0.9
     assert chances(usual, weights)[NONE] > 0.8
     # Much of it without evidence is no cause either.
-    nothing = replace(evidence((3.0, 2.0, 2.0)), usual={"internal_damping": 2 * weights.usual_size})
+    nothing = replace(evidence((3.0, 2.0, 2.0)), usual={"internal_damping": 4 * weights.usual_size})
     assert chances(nothing, weights)[NONE] > 0.6
 
 
