@@ -19,7 +19,7 @@ from sklearn.metrics import f1_score
 from toile.blind.answers import Answer
 from toile.blind.measures import CONFIDENT, kind_of, localisation, magnitude, size_in_label, truth_of
 from toile.blind.sealing import Sealed
-from toile.diagnosis.record import AMBIGUOUS, NONE, UNKNOWN
+from toile.diagnosis.record import AMBIGUOUS, MOVED, NONE, UNKNOWN
 from toile.effects.base import Stage
 from toile.effects.catalogue import STAGES
 
@@ -28,8 +28,6 @@ Array = NDArray[np.float64]
 LARGE = 3.0
 """Size from which the table asks for a name [% of the width]; 3 % is asked for, so a bit less is made."""
 _TOLERANCE = 0.75
-MOVED = 0.005
-"""Mean distance from which on a frame is one in which an effect moves the cloth [widths]."""
 BINS = 10
 """Of stated probabilities, of equal width."""
 _OF_THE_IMAGE = (Stage.CAMERA, Stage.APPEARANCE, Stage.OBSERVATION)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from toile.diagnosis.base_fit import N_WIND, base_of
 from toile.diagnosis.joint_fit import JointClip, JointFit, JointFitting, tracked_windows
-from toile.diagnosis.record import Shrink
+from toile.diagnosis.record import PIECES, Shrink
 from toile.diagnosis.refits import acting_with
 from toile.diagnosis.shooting import Base, cosine_modes
 from toile.diagnosis.shrinkage import DEFAULT as PREDICTION
@@ -90,7 +90,7 @@ def left_out_shrinks(
             continue
         total = shrink_of(without_effect, better)
         low, high = interval(without_effect, better, seed, PREDICTION)
-        held = "the last clip" if without is not None else f"pieces of {ahead} frames"
+        held = "the last clip" if without is not None else f"{PIECES} of {ahead} frames"
         shrinks[name] = Shrink(
             METRIC,
             held,

@@ -51,6 +51,10 @@ AMBIGUOUS = "ambiguous"
 """Verdict: one of the candidates, and the clip cannot tell which."""
 UNKNOWN = "unknown"
 """Verdict: something that is not in the catalogue."""
+PIECES = "pieces"
+"""Begin of what was held out where there is no clip that fits have not seen."""
+MOVED = 0.005
+"""Mean distance from which on a frame is one in which an effect moves the cloth [widths]."""
 
 
 _Interval = TypeVar("_Interval", "Estimate", "Shrink")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from toile.diagnosis.record import AMBIGUOUS, NONE, UNKNOWN, GapReport, Shrink
+from toile.diagnosis.record import AMBIGUOUS, MOVED, NONE, PIECES, UNKNOWN, GapReport, Shrink
 from toile.effects.base import Stage
 
 _SPOKEN = {
@@ -147,7 +147,8 @@ def certainty(report: GapReport) -> str:
 def shrinkage(shrink: Shrink) -> str:
     """How far the held-out error falls, and whether more than with a placebo."""
     what, unit = metric_and_unit(shrink.metric)
-    seen = f"On {shrink.held_out}, which no fit has seen, the error ({what})"
+    unseen = "" if shrink.held_out.startswith(PIECES) else ", which no fit has seen,"
+    seen = f"On {shrink.held_out}{unseen} the error ({what})"
     by = amount(abs(shrink.estimate))
     if by == "0 %":
         text = f"{seen} stays at {shrink.base:.3g} {unit}".rstrip()
@@ -166,6 +167,23 @@ def shrinkage(shrink: Shrink) -> str:
     if beats_placebo(shrink):
         return f"{text}; the best placebo reaches {gain}."
     return f"{text}. That is not clearly more than the best placebo's {gain}, so no shrinkage is claimed."
+
+
+def when_moved(report: GapReport) -> str:
+    """In which frames the most probable effect moves the cloth; "" where that is not known."""
+    session = report.session
+    if session is None or not session.moved:
+        return ""
+    frames = [frame for frame, by in enumerate(session.moved) if by > MOVED]
+    name, least = plain_name(session.moved_by), f"{100 * MOVED:g} % of its width"
+    if not frames:
+        return f"The most probable effect on the motion, {name}, nowhere moves the cloth by {least}."
+    largest = max(range(len(session.moved)), key=lambda frame: session.moved[frame])
+    return (
+        f"The most probable effect on the motion, {name}, would move the cloth of the first clip by more than "
+        f"{least} in frames {frame_ranges(frames)}, most in frame {largest} "
+        f"({100 * session.moved[largest]:.1f} %)."
+    )
 
 
 def beats_placebo(shrink: Shrink) -> bool:

@@ -40,6 +40,7 @@ from toile.reports.diagnosis_wording import (
     frame_ranges,
     percent,
     shrinkage,
+    when_moved,
 )
 from toile.reports.page.diagnosis_charts import alias_matrix, alias_order, held_out
 from toile.reports.page.diagnosis_page import DiagnosisPage, write_diagnosis_page
@@ -233,6 +234,26 @@ def test_no_shrinkage_is_claimed_within_the_placebo() -> None:
     assert "grows from 8 to 9.6 mm: 20 % more (10 % to 30 %)" in shrinkage(worse)
     # A bad placebo does not make nothing into something.
     assert not beats_placebo(dataclasses.replace(SHRINK, low=-0.01, best_placebo=-0.5))
+
+
+def test_a_clip_that_fits_have_seen_is_not_called_unseen() -> None:
+    seen, unseen = (
+        shrinkage(dataclasses.replace(SHRINK, held_out=held))
+        for held in ("pieces of 12 frames", "the last clip")
+    )
+    assert "no fit has seen" not in seen
+    assert "no fit has seen" in unseen
+
+
+def test_says_when_the_most_probable_effect_moves_the_cloth(report: GapReport) -> None:
+    session = SessionAnswer(("a",), (5,), {}, (), {}, 1.0, moved_by="gusts")
+    moved = dataclasses.replace(session, moved=(0.0, 0.001, 0.006, 0.02, 0.004))
+    text = words(body(dataclasses.replace(report, session=moved)))
+    assert "gusts" in text
+    assert "more than 0.5 % of its width in frames 2 to 3, most in frame 3 (2.0 %)" in text
+    still = dataclasses.replace(report, session=dataclasses.replace(moved, moved=(0.0,)))
+    assert "nowhere moves the cloth" in when_moved(still)
+    assert when_moved(dataclasses.replace(report, session=session)) == when_moved(report) == ""
 
 
 def test_words_for_numbers() -> None:
