@@ -162,10 +162,10 @@ def sessions(found: Sequence[Path], *, table_only: bool) -> None:
             GapReport.read(answer).write(RESULTS / "independent_sessions" / f"{scene.name}.json")
     text = f"""# Scenes of the independent engine, each as a session of one clip
 
-Made by `python benchmarks/independent.py --sessions` (`toile diagnose session=…`, `diagnosis=quick`): 40 frames
-at 25 frames a second, corners moved by hand. The labelled scenes helped to develop the method of single clips,
-whose answers stand in [independent.md](independent.md); no weight of this one was learnt from them. The labels
-of the withheld ones are not known here; whole answers in `independent_sessions/`.
+Made by `python benchmarks/independent.py --sessions` (`toile diagnose session=…`, `diagnosis=quick`): 40
+frames at 25 frames a second, corners moved by hand. The labelled scenes helped to develop the method of
+single clips, whose answers stand in [independent.md](independent.md); no weight of this one was learnt from
+them. The labels of the withheld ones are not known here; whole answers in `independent_sessions/`.
 
 {table.to_markdown(index=False)}
 """

@@ -94,7 +94,8 @@ def measured(folder: Path, out: Path, freed: FreedSettings) -> dict[str, object]
         "converged": found.converged,
         "cpu": time.process_time() - began,
         "causes": {
-            name: {"moves": cause.displacement.last, **asdict(cause.evidence)} for name, cause in found.causes.items()
+            name: {"moves": cause.displacement.last, **asdict(cause.evidence)}
+            for name, cause in found.causes.items()
         },
     }
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,11 +25,14 @@ from hydra import compose, initialize_config_dir
 from toile.atomic_file import write_text
 from toile.cli.configuration import CONF, register_resolvers
 from toile.cli.diagnose import session_problem
+from toile.diagnosis.decision import NONE
 from toile.diagnosis.effect_evidence import EffectEvidence
 from toile.diagnosis.effect_sensitivities import FORCES
 from toile.diagnosis.effect_size import displacement
 from toile.diagnosis.fingerprint import fingerprint
 from toile.diagnosis.joint_fit import JointFit
+from toile.diagnosis.left_out import left_out_shrinks
+from toile.diagnosis.outside_causes import outside_causes
 from toile.diagnosis.pipeline import Pipeline
 from toile.diagnosis.problem import DiagnosisProblem
 from toile.diagnosis.results import KINDS
@@ -43,10 +47,12 @@ from toile.diagnosis.session_stages import (
     seen_clips,
     with_error_found,
 )
+from toile.diagnosis.session_weights import MotionEvidence, SessionWeights, chances
 from toile.diagnosis.stage_store import StageStore
 from toile.diagnosis.stage_times import StageTimes
 from toile.diagnosis.stored_values import ValueStore
 from toile.diagnosis.workers import ALONE
+from toile.effects.base import Effect
 from toile.generation.clip_plan import DEFAULT_CLIPS, ClipPlan
 from toile.generation.out_of_family.base_scene import OutOfFamilySettings
 from toile.generation.out_of_family.from_blender import make_clips_with_blender
@@ -157,9 +163,15 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
     learned = learned_chances(clips, motion) or {}
     seconds = sum((clip.n_frames - 1) / clip.problem.scene.fps for clip in clips)
     moving = [effect for effect in effects if isinstance(effect, FORCES)]
+    truth_is = cause_of(folder.name)
     fits = fitting.linearised(moving, base, fitting.systems(moving, base))
     fits |= {effect.NAME: usual for effect in moving if effect.NAME in usual.names}
     chosen = promising(base, fits, moving, errors, settings.fitted, plain, usual.names)
+    # The cause is fitted whatever it promises, so that what it predicts is known.
+    chosen += [e for e in moving if truth_is == e.NAME and e not in chosen and e.NAME not in usual.names]
+    causes = {} if "force" in rung else outside_causes(clips, motion, settings, stiffness, moving).causes
+    evidence: dict[str, EffectEvidence] = {}
+    sizes: dict[str, float] = {}
     rows: list[dict[str, object]] = []
     for effect in moving:
         began = time.process_time()
@@ -168,8 +180,11 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
         before = _evidence(against, fit)
         if effect in chosen:
             fit = fitting.fitted(fitting.hypothesis(effect, base), base)
+        fits[effect.NAME] = fit
         far = displacement(fitting.clips, fitting.start, fit, model.width).last
         found = _evidence(against, fit)
+        evidence[effect.NAME], sizes[effect.NAME] = found, far
+        outside = causes.get(effect.NAME)
         rows.append(
             {
                 "session": folder.name,
@@ -192,11 +207,51 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
                 "slopes": " ".join(f"{value:.5g}" for value in found.slopes),
                 "fitted size": found.fitted_size,
                 "learned": learned.get(effect.NAME, float("nan")),
+                "nats from outside": None if outside is None else outside.evidence.nats(),
                 "passes": len(fit.history) - len(base.history),
                 "CPU [s]": time.process_time() - began,
             }
         )
+    every = {name: sizes.pop(name) for name in usual.names if name in sizes}
+    sizes |= {name: cause.displacement.last for name, cause in causes.items()}
+    from_outside = {name: cause.evidence for name, cause in causes.items()}
+    said = chances(
+        MotionEvidence(errors, evidence, learned or None, every, sizes, from_outside), SessionWeights.load()
+    )
+    shrink = _shrink(model, base, fits, moving, truth_is, settings, clips[-1].problem.scene.fps)
+    for row in rows:
+        row |= {"probability": said[str(row["effect"])], "probability of none": said[NONE], **shrink}
     return rows
+
+
+def _shrink(
+    model: SessionModel,
+    base: JointFit,
+    fits: Mapping[str, JointFit],
+    moving: Sequence[Effect],
+    truth: str,
+    settings: SessionSettings,
+    fps: float,
+) -> dict[str, float]:
+    """How far the cause shrinks the held-out error, and the best placebo; on true positions: the oracle."""
+    effect = {one.NAME: one for one in moving if truth == one.NAME}
+    if not effect:
+        return {}
+    ahead = max(2, round(settings.ahead * fps / 25))
+    shrinks = left_out_shrinks(
+        model.fitting,
+        model.left_out,
+        base,
+        {truth: fits[truth]},
+        effect,
+        ahead,
+        settings.placebos,
+        settings.seed,
+    ).shrinks
+    if truth not in shrinks:
+        return {}
+    best = shrinks[truth].best_placebo
+    return {"shrink": shrinks[truth].estimate, "placebo": float("nan") if best is None else best}
 
 
 def _evidence(against: JointFit, fit: JointFit) -> EffectEvidence:
@@ -245,9 +300,23 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
                     usual, "moves the cloth by [% of the width]"
                 ].max(),
                 "truth over best rival [nats]": of_truth.iloc[0] - rivals if len(of_truth) else np.nan,
+                "its probability": _of_truth(every, truth),
+                "shrink [%]": 100 * _first(every, "shrink"),
+                "best placebo [%]": 100 * _first(every, "placebo"),
             }
         )
     return pd.DataFrame(rows)
+
+
+def _of_truth(rows: pd.DataFrame, truth: str) -> float:
+    """Probability of the cause, or of none where there is none; NaN where it was not kept."""
+    if truth == NONE:
+        return _first(rows, "probability of none")
+    return _first(rows[rows["effect"] == truth], "probability")
+
+
+def _first(rows: pd.DataFrame, column: str) -> float:
+    return float(rows[column].iloc[0]) if column in rows and len(rows) else float("nan")
 
 
 def main() -> None:
@@ -278,6 +347,12 @@ def main() -> None:
     write_text(given.output, page(table))
 
 
+def _share(sessions: pd.DataFrame, column: str, least: float) -> pd.Series:
+    """By rung: how many reach it, of how many where that is known."""
+    known = sessions[sessions[column].notna()].groupby("rung", sort=False)[column]
+    return known.agg(lambda values: f"{int((values >= least).sum())} of {len(values)}").astype(object)
+
+
 def page(table: pd.DataFrame) -> str:
     """Both tables in words."""
     lines = ["# Ladder of a diagnosis of several clips", "", "Made by `make session-ladder`.", ""]
@@ -299,6 +374,9 @@ def page(table: pd.DataFrame) -> str:
             "median over best rival [nats]": moved.groupby("rung", sort=False)[
                 "truth over best rival [nats]"
             ].median(),
+            "named (0.9)": _share(moved, "its probability", 0.9),
+            "shrink, median [%]": moved.groupby("rung", sort=False)["shrink [%]"].median(),
+            "best placebo, median [%]": moved.groupby("rung", sort=False)["best placebo [%]"].median(),
             "nulls": still.groupby("rung", sort=False).size(),
             "largest gain of a null [nats]": still.groupby("rung", sort=False)["its gain [nats]"].max(),
         }
@@ -311,8 +389,19 @@ def page(table: pd.DataFrame) -> str:
         "cause; its gain is against a model without.",
         "",
     ]
-    over = sessions["truth over best rival [nats]"].map(lambda nats: "–" if np.isnan(nats) else f"{nats:.2f}")
-    sessions = sessions.assign(**{"truth over best rival [nats]": over})
+    lines += [
+        "Leads and gains are those under a law; probabilities are of all evidence, causes from outside "
+        "judged with the forces within the cloth free. The shrink is that of the fitted cause on the clip "
+        "that was left out (of one clip: on pieces of it); on true positions it is what a diagnosis could reach.",
+        "",
+    ]
+    for column in (
+        "truth over best rival [nats]",
+        "its probability",
+        "shrink [%]",
+        "best placebo [%]",
+    ):
+        sessions[column] = sessions[column].map(lambda value: "–" if np.isnan(value) else f"{value:.2f}")
     lines += [sessions.to_markdown(index=False, floatfmt=".2f"), ""]
     return "\n".join(lines)
 

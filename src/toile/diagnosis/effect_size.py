@@ -93,7 +93,9 @@ def displacement(clips: Sequence[JointClip], start: Array, fit: JointFit, width:
     if found is None:
         return Displacement(np.full(frames + 1, np.inf), np.inf)
     every = np.concatenate([np.zeros(1), *(piece[1:] for piece in found)]) / width
-    return Displacement(every, float(np.mean([piece[2 * len(piece) // 3 :].mean() for piece in found])) / width)
+    return Displacement(
+        every, float(np.mean([piece[2 * len(piece) // 3 :].mean() for piece in found])) / width
+    )
 
 
 def _distances(

@@ -103,11 +103,11 @@ def session_evidence(
         findings[name] = finding(by_name[name], motion.nats(name), fit.own[:n], covariance)
         if name in outside:
             cause = outside[name]
-            found = cause.coefficients[:n]
+            mean = cause.coefficients[:n]
             # All coefficients are too large or too small together.
-            together = weights.outside_spread**2 * np.outer(found, found)
+            together = weights.outside_spread**2 * np.outer(mean, mean)
             covariance = cause.covariance[:n, :n] + together
-            findings[name] = finding(by_name[name], cause.evidence.nats(), found, covariance)
+            findings[name] = finding(by_name[name], cause.evidence.nats(), mean, covariance)
     logits[UNKNOWN] = none + float(weights.strangeness * np.log(left / weights.strange))
     return SessionEvidence(findings, drops, _chances(logits), left, scale, motion)
 

@@ -66,8 +66,8 @@ class SessionWeights:
         outside_threshold: evidence, the forces within the cloth free, at which a cause from outside and all
             that is not from there are equally probable [nats].
         outside_temperature: evidence by which its odds grow e-fold [nats].
-        outside_spread: deviation of the strength of a cause from outside, as a share of it, beside what its fit
-            says and before intervals are widened (DiagnosisSettings.widened).
+        outside_spread: deviation of the strength of a cause from outside, as a share of it, beside what its
+            fit says and before intervals are widened (DiagnosisSettings.widened).
         strange: squared errors that the best hypothesis leaves, over those of USUAL_SHARE, where something
             unknown and none are equally probable.
         strangeness: e-folds of the odds of something unknown for each logarithm beyond that.

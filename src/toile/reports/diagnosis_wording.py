@@ -180,8 +180,8 @@ def when_moved(report: GapReport) -> str:
         return f"The most probable effect on the motion, {name}, nowhere moves the cloth by {least}."
     largest = max(range(len(session.moved)), key=lambda frame: session.moved[frame])
     return (
-        f"The most probable effect on the motion, {name}, would move the cloth of the first clip by more than "
-        f"{least} in frames {frame_ranges(frames)}, most in frame {largest} "
+        f"The most probable effect on the motion, {name}, would move the cloth of the first clip by more "
+        f"than {least} in frames {frame_ranges(frames)}, most in frame {largest} "
         f"({100 * session.moved[largest]:.1f} %)."
     )
 

@@ -134,7 +134,9 @@ class TestFits:
         (acting,) = fit.effects[0]
         half = acting_with(acting, 0.5 * fit.coefficients)
         weaker = replace(fit, coefficients=0.5 * fit.coefficients, effects=[(half,)] * 2)
-        assert displacement(fitting.clips, fitting.start, weaker, 0.3).last == pytest.approx(0.5 * far, rel=0.3)
+        assert displacement(fitting.clips, fitting.start, weaker, 0.3).last == pytest.approx(
+            0.5 * far, rel=0.3
+        )
         nothing = replace(fit, coefficients=np.zeros_like(fit.coefficients))
         assert displacement(fitting.clips, fitting.start, nothing, 0.3).last == 0.0
 
