@@ -392,7 +392,7 @@ def page(table: pd.DataFrame) -> str:
     lines += [
         "Leads and gains are those under a law; probabilities are of all evidence, causes from outside "
         "judged with the forces within the cloth free. The shrink is that of the fitted cause on the clip "
-        "that was left out (of one clip: on pieces of it); on true positions it is what a diagnosis could reach.",
+        "that was left out (of one clip: on pieces of it); on true positions it is what could be reached.",
         "",
     ]
     for column in (
