@@ -83,6 +83,26 @@ def test_the_effect_itself_is_right(tmp_path: Path) -> None:
     assert found[f"right [{LOSS_DROP}]"] is False
 
 
+def test_when_the_cloth_is_moved_is_graded_alike_for_all_generators(tmp_path: Path) -> None:
+    truth = sealed("air_drag")
+    truth.label["magnitude"]["per_frame_mean"] = [0.0, 0.4, 0.9, 3.0]  # % of the width
+    session = {"clips": ["a"], "frames": [4], "equivalence_classes": [], "material": {}, "left": 1.0}
+    session |= {"probabilities": {"air_drag": 1.0}, "moved_by": "air_drag"}
+    scores = {}
+    for name, moved in {
+        "right": (0.0, 0.001, 0.006, 0.02),
+        "late": (0.0, 0.0, 0.0, 0.02),
+        "nowhere": (0.0,) * 4,
+    }.items():
+        found = marks(tmp_path, truth, "air_drag", session={**session, "moved": moved})
+        scores[name] = found["frames_f1"]
+    assert scores == {"right": 1.0, "late": pytest.approx(2 / 3), "nowhere": 0.0}
+    # Moved from the first frame to the last, it says nothing: any answer would do.
+    truth.label["magnitude"]["per_frame_mean"] = [1.0] * 4
+    everywhere = marks(tmp_path, truth, "air_drag", session={**session, "moved": (0.02,) * 4})
+    assert everywhere["frames_f1"] == marks(tmp_path, truth, "air_drag")["frames_f1"]
+
+
 def test_a_declared_class_is_one_answer(tmp_path: Path) -> None:
     classes = {"equivalence_classes": [["gravity_tilt", "wind"]], "class": ["gravity_tilt", "wind"]}
     truth = sealed("gravity_tilt")

@@ -126,7 +126,11 @@ class TestFits:
     def test_how_far_an_effect_moves_the_cloth(self, dragged: Problem) -> None:
         """As far as the clips themselves say: with the drag against without it, all else equal."""
         fit, fitting = dragged.drag, dragged.fitting
-        far = displacement(fitting.clips, fitting.start, fit, 0.3).last
+        found = displacement(fitting.clips, fitting.start, fit, 0.3)
+        far = found.last
+        assert found.frames.shape == (FRAMES,)
+        assert found.frames[0] == 0.0
+        assert found.frames[2 * (FRAMES - 1) // 3 + 1 :].mean() == pytest.approx(far, rel=0.1)
         of_clips = [clip(WINDS[0], effects)[0].tracked.positions for effects in (fit.effects[0], ())]
         away = np.linalg.norm(of_clips[0] - of_clips[1], axis=-1)[2 * FRAMES // 3 :].mean() / 0.3
         assert far == pytest.approx(away, rel=0.4)

@@ -72,6 +72,19 @@ def test_what_every_cloth_has_is_a_cause_only_where_there_is_more_of_it() -> Non
     assert chances(nothing, weights)[NONE] > 0.6
 
 
+def test_the_odds_of_damping_grow_with_how_far_it_moves_the_cloth() -> None:
+    weights, sure = SessionWeights(), evidence((3.0, 90.0, 2.0))
+    sizes = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 500.0)
+    p = [chances(replace(sure, usual={"internal_damping": s * weights.usual_size}), weights) for s in sizes]
+    of_cause = [one["internal_damping"] for one in p]
+    assert of_cause == sorted(of_cause)
+    assert of_cause[2] < 0.05
+    # The less is known of what is usual, the less an excess says.
+    vague = replace(weights, usual_spread=2 * weights.usual_spread)
+    doubled = replace(sure, usual={"internal_damping": 3 * weights.usual_size})
+    assert chances(doubled, vague)["internal_damping"] < chances(doubled, weights)["internal_damping"]
+
+
 def test_what_hardly_moves_the_cloth_is_no_cause_however_sure() -> None:
     """Nulls of three clips gained forty nats for what moved the cloth by a fifth of a per cent."""
     weights = SessionWeights()
