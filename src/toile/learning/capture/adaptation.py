@@ -33,7 +33,10 @@ class AdaptationSettings(PhysicsSettings):
 
 
 class AdaptationStage(PhysicsStage):
-    """Refines PoseNet and SimNet by landmarks, silhouettes and physics, as one camera sees them.
+    """Refines PoseNet by landmarks and SimNet by silhouettes and physics, as one camera sees them.
+
+    The pose has no gradients of what moves the garment. Of one camera it would follow them: a person who folds
+    up has less potential energy in the skirt, and landmarks of a single view weigh little against that.
 
     Args:
         See Stage; ``data`` watched by one camera, ``TrainingSet.only``.
@@ -48,10 +51,12 @@ class AdaptationStage(PhysicsStage):
         """See Stage."""
         return (self.pose_net, *super().trained)
 
-    def posed(self, batch: Batch, images: Tensor) -> tuple[Tensor, Tensor]:
-        """θ and α by PoseNet, with gradients."""
+    def deformed(self, batch: Batch, images: Tensor) -> tuple[Deformed, Tensor, Tensor]:
+        """See SimNetStage; the landmarks alone have gradients of PoseNet."""
         angles, root = self.pose_net(images)
-        return angles, root
+        landmarks = self.placed(batch, self.networks.deformation(angles, root)).landmarks
+        world, A, T = super().deformed(batch, images)
+        return replace(world, landmarks=landmarks), A, T
 
     def image_terms(self, batch: Batch, world: Deformed) -> dict[str, Tensor]:
         """Eqs. 4, 5 and 6, with their weights."""
@@ -59,6 +64,4 @@ class AdaptationStage(PhysicsStage):
             world.landmarks, self.data.cameras, batch.detections.to(world.landmarks), batch.confidences
         )
         weighted = self.settings.landmark_weight * landmarks / self.data.side**2
-        # SimNet moves the garment over a body that is given: the silhouettes do not pose the body.
-        body = None if world.body is None else world.body.detach()
-        return {"landmarks": weighted, **super().image_terms(batch, replace(world, body=body))}
+        return {"landmarks": weighted, **super().image_terms(batch, world)}
