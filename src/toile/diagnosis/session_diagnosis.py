@@ -61,7 +61,7 @@ from toile.diagnosis.settings import DiagnosisSettings
 from toile.diagnosis.stage_store import StageStore
 from toile.diagnosis.stage_times import TIMES_FILE, StageTimes
 from toile.diagnosis.stored_values import ValueStore
-from toile.diagnosis.verdict import is_clear, verdict_of
+from toile.diagnosis.verdict import is_clear, refuted, verdict_of
 from toile.diagnosis.workers import ALONE, Workers
 from toile.effects.base import Effect
 from toile.effects.catalogue import CATALOGUE, STAGES
@@ -277,6 +277,8 @@ def _report(
         settings=settings.verdict,
     )
     verdict = _of_class(verdict, evidence.chances, classes, settings)
+    if len(found.clips) > 1:
+        verdict = refuted(verdict, found.left_out.shrinks)
     following = ""
     # A class that is one answer is clear where its members are not.
     gains = found.gains if verdict.effect in (AMBIGUOUS, UNKNOWN) else {}

@@ -118,6 +118,34 @@ def verdict_of(
     return Verdict(first, candidates, STAGES[first].value, found[first], reason, "", also)
 
 
+def refuted(verdict: Verdict, shrinks: Mapping[str, Shrink]) -> Verdict:
+    """The same verdict, unless its effect predicts worse what no fit has seen: then the clips are ambiguous.
+
+    Evidence is of what was fitted, and flexible effects may gain there by what they cannot foretell.
+
+    Args:
+        verdict: to be checked.
+        shrinks: of the error on a whole clip that was left out, by effect.
+    """
+    own = shrinks.get(verdict.effect)
+    if own is None or own.high >= 0:
+        return verdict
+    better = [name for name, s in shrinks.items() if s.low > max(0.0, s.best_placebo or 0.0)]
+    candidates = tuple(dict.fromkeys((*verdict.candidates, *better)))
+    stages = {STAGES[name].value for name in candidates if name in STAGES}
+    reason = f"{verdict.effect} has most evidence, but predicts the clip that was left out worse than nothing"
+    reason += f"; {', '.join(better)} predicts it better." if better else "."
+    return replace(
+        verdict,
+        effect=AMBIGUOUS,
+        candidates=candidates,
+        stage=stages.pop() if len(stages) == 1 else UNKNOWN,
+        reason=reason,
+        next_recording=next_recording(candidates),
+        also=None,
+    )
+
+
 def until(verdict: Verdict, frame: int) -> Verdict:
     """The same verdict, saying that tracking has lost the cloth in a frame."""
     note = f"Tracking loses the cloth in frame {frame}; only frames before it count."

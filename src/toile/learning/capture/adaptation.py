@@ -35,8 +35,8 @@ class AdaptationSettings(PhysicsSettings):
 class AdaptationStage(PhysicsStage):
     """Refines PoseNet by landmarks and SimNet by silhouettes and physics, as one camera sees them.
 
-    The pose has no gradients of what moves the garment. Of one camera it would follow them: a person who folds
-    up has less potential energy in the skirt, and landmarks of a single view weigh little against that.
+    The pose has no gradients of what moves the garment. Of one camera it would follow them: a person who
+    folds up has less potential energy in the skirt, and landmarks of a single view weigh little against that.
 
     Args:
         See Stage; ``data`` watched by one camera, ``TrainingSet.only``.
