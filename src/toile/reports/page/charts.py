@@ -86,8 +86,8 @@ def _small_multiples(
         # A curve that hardly moves must not look like noise magnified; one from zero keeps proportions
         # honest.
         if finite.size and finite.min() >= 0 and finite.max() >= 2 * finite.min():
-            # Of zeros alone, too: no axis to below what cannot be.
-            figure.update_yaxes(rangemode="nonnegative", **at)
+            # Of zeros alone: no axis to below what cannot be.
+            figure.update_yaxes(rangemode="tozero" if finite.max() > 0 else "nonnegative", **at)
         if cursors:
             number = "" if k == 0 else str(k + 1)
             figure.add_shape(**CURSOR, xref=f"x{number}", yref=f"y{number} domain")
