@@ -48,9 +48,9 @@ from toile.diagnosis.session_weights import (
 from toile.diagnosis.stage_store import StageStore
 from toile.diagnosis.stage_times import StageTimes
 from toile.diagnosis.stored_values import ValueStore
-from toile.diagnosis.workers import ALONE
 from toile.effects.catalogue import OUTSIDE
 from toile.generation.clip_plan import DEFAULT_CLIPS
+from toile.workers import ALONE
 
 FOLDER = Path("outputs") / "outside_causes"
 RESULTS = Path("docs") / "results" / "outside_causes.md"

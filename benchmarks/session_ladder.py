@@ -51,13 +51,13 @@ from toile.diagnosis.session_weights import MotionEvidence, SessionWeights, chan
 from toile.diagnosis.stage_store import StageStore
 from toile.diagnosis.stage_times import StageTimes
 from toile.diagnosis.stored_values import ValueStore
-from toile.diagnosis.workers import ALONE
 from toile.effects.base import Effect
 from toile.generation.clip_plan import DEFAULT_CLIPS, ClipPlan
 from toile.generation.out_of_family.base_scene import OutOfFamilySettings
 from toile.generation.out_of_family.from_blender import make_clips_with_blender
 from toile.generation.out_of_family.session_set import write_opaque_session
 from toile.generation.out_of_family.sessions import SessionRequest, make_session
+from toile.workers import ALONE
 
 FOLDER = Path("outputs") / "session_ladder"
 BLENDER = "blender-"

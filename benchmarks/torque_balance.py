@@ -34,10 +34,10 @@ from toile.diagnosis.stage_store import StageStore
 from toile.diagnosis.stage_times import StageTimes
 from toile.diagnosis.stored_values import ValueStore
 from toile.diagnosis.torque_balance import MovingCloth, torque_evidence
-from toile.diagnosis.workers import ALONE
 from toile.effects.base import Surroundings
 from toile.effects.catalogue import OUTSIDE
 from toile.generation.clip_plan import DEFAULT_CLIPS
+from toile.workers import ALONE
 
 RUNGS = ("true, one clip", "true", "refined, one clip", "refined, one clip, corners held")
 HELD = 0.0003

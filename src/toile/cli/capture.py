@@ -13,6 +13,7 @@ from toile.cli.configuration import instantiate
 from toile.cli.terminal import print_path
 from toile.errors import InputError
 from toile.progress import Shown
+from toile.workers import Workers, processes
 
 log = logging.getLogger(__name__)
 
@@ -40,8 +41,8 @@ def _data(cfg: DictConfig) -> None:
     if cfg.dry_run:
         print("\n".join(domain.estimate().lines()))
         return
-    with Shown(log) as progress:
-        print_path(make_data(domain, Path(str(cfg.folder)), progress))
+    with Shown(log) as progress, Workers(processes(int(cfg.workers))) as workers:
+        print_path(make_data(domain, Path(str(cfg.folder)), progress, workers))
 
 
 def _page(cfg: DictConfig) -> None:

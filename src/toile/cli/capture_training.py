@@ -6,7 +6,6 @@ import csv
 import io
 import json
 import logging
-import os
 import resource
 import time
 from collections.abc import Callable, Mapping
@@ -37,6 +36,7 @@ from toile.learning.checkpoints import LAST
 from toile.learning.last_checkpoint import LastCheckpoint
 from toile.learning.quiet import quiet_lightning
 from toile.progress import Shown
+from toile.workers import processes
 
 log = logging.getLogger(__name__)
 
@@ -145,7 +145,7 @@ def _stage(
         networks = _networks(name, data, settings, int(cfg.seed), before)
         stage = _STAGES[name](stage_settings, networks, data, int(cfg.seed))
         if isinstance(stage, PhysicsStage):
-            stage.share((os.cpu_count() or 1) if int(cfg.workers) < 0 else int(cfg.workers))
+            stage.share(processes(int(cfg.workers)))
         description = _description(cfg, stage, before)
         _claim(folder, description)
         if weights.is_file():

@@ -31,7 +31,6 @@ from toile.diagnosis.session_diagnosis import diagnose_session
 from toile.diagnosis.session_settings import SessionSettings
 from toile.diagnosis.settings import DiagnosisSettings
 from toile.diagnosis.shooting import ShootingSettings
-from toile.diagnosis.workers import Workers
 from toile.effects.base import Effect
 from toile.errors import InputError
 from toile.reconstruction.gauss_newton.recipe import TrackingRecipe
@@ -50,6 +49,7 @@ from toile.reports.run_folder import (
 )
 from toile.scenes.scene import Scene
 from toile.scenes.session import Session, load_session
+from toile.workers import Workers
 
 
 @alone

@@ -15,10 +15,10 @@ from toile.diagnosis.evidence import Evidence
 from toile.diagnosis.positive import positive_factor
 from toile.diagnosis.sensitivities import StepForces
 from toile.diagnosis.shooting import Base, Shooting, WindowMotion
-from toile.diagnosis.workers import ALONE, Workers
 from toile.effects.base import Effect, Surroundings
 from toile.physics.linearizable import LinearizableSimulator
 from toile.physics.state import State
+from toile.workers import ALONE, Workers
 
 Array = NDArray[np.float64]
 

@@ -20,10 +20,10 @@ from toile.diagnosis.stage_store import StageStore
 from toile.diagnosis.stage_times import TIMES_FILE, StageTimes
 from toile.diagnosis.stages import DiagnosisStages
 from toile.diagnosis.stored_values import ValueStore
-from toile.diagnosis.workers import ALONE, Workers
 from toile.effects.base import Effect
 from toile.reconstruction.gauss_newton.recipe import TrackingRecipe
 from toile.reconstruction.problem import Reconstruction
+from toile.workers import ALONE, Workers
 
 _log = logging.getLogger(__name__)
 

@@ -35,10 +35,10 @@ from toile.diagnosis.mechanics import effect_systems
 from toile.diagnosis.positive import positive_lower
 from toile.diagnosis.refits import acting_with, within_bounds
 from toile.diagnosis.shooting import Base, Shooting, WindowMotion
-from toile.diagnosis.workers import ALONE, Workers
 from toile.effects.base import Effect, Scope, Surroundings
 from toile.limits import Count, CountOrZero, Fraction, NonNegative, Positive, Unit
 from toile.physics.state import State
+from toile.workers import ALONE, Workers
 
 Array = NDArray[np.float64]
 Places = NDArray[np.intp]

@@ -31,7 +31,6 @@ from toile.diagnosis.sensitivities import StepForces
 from toile.diagnosis.shooting import Shooting, ShootingSettings, WindowMotion, changed_simulation
 from toile.diagnosis.template_tension import template_tension
 from toile.diagnosis.tracked import Tracked
-from toile.diagnosis.workers import ALONE, Workers
 from toile.effects.base import CameraEffect, Effect, Surroundings
 from toile.geometry.camera import Camera
 from toile.geometry.horizontal import horizontal_axes
@@ -40,6 +39,7 @@ from toile.physics.implicit.integrators import BDF2
 from toile.physics.implicit.newton import NewtonSettings
 from toile.physics.implicit.simulator import ImplicitSimulator
 from toile.scenes.scene import Scene
+from toile.workers import ALONE, Workers
 
 Array = NDArray[np.float64]
 

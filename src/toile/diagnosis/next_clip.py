@@ -22,9 +22,9 @@ from toile.diagnosis.continuity import WindowSystem
 from toile.diagnosis.decision import NONE
 from toile.diagnosis.joint_fit import JointFit, JointFitting
 from toile.diagnosis.planned_clip import planned_clip
-from toile.diagnosis.workers import ALONE, Workers
 from toile.effects.base import Effect, Scope
 from toile.physics.simulator import SimulationError
+from toile.workers import ALONE, Workers
 
 Array = NDArray[np.float64]
 Places = NDArray[np.intp]

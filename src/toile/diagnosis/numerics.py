@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from toile.diagnosis.base_fit import BaseFit, improved
 from toile.diagnosis.shooting import Base, Shooting, WindowMotion
-from toile.diagnosis.workers import ALONE, Workers
 from toile.limits import Positive, Unit
 from toile.physics.implicit.simulator import ImplicitSimulator
 from toile.physics.state import State
+from toile.workers import ALONE, Workers
 
 Array = NDArray[np.float64]
 

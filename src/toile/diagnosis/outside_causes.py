@@ -27,10 +27,10 @@ from toile.diagnosis.joint_fit import JointFit, JointFitting
 from toile.diagnosis.pipeline import PipelineStage
 from toile.diagnosis.session_settings import SessionSettings
 from toile.diagnosis.session_stages import RefinedMotion, SeenClip, SessionModel
-from toile.diagnosis.workers import ALONE, Workers
 from toile.effects.base import Effect
 from toile.effects.catalogue import OUTSIDE
 from toile.limits import Unit
+from toile.workers import ALONE, Workers
 
 Array = NDArray[np.float64]
 

@@ -62,11 +62,11 @@ from toile.diagnosis.stage_store import StageStore
 from toile.diagnosis.stage_times import TIMES_FILE, StageTimes
 from toile.diagnosis.stored_values import ValueStore
 from toile.diagnosis.verdict import is_clear, refuted, verdict_of
-from toile.diagnosis.workers import ALONE, Workers
 from toile.effects.base import Effect
 from toile.effects.catalogue import CATALOGUE, STAGES
 from toile.generation.clip_plan import MOTIONS
 from toile.scenes.session import Session
+from toile.workers import ALONE, Workers
 
 Array = NDArray[np.float64]
 

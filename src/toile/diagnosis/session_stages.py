@@ -22,9 +22,9 @@ from toile.diagnosis.session_settings import SessionSettings
 from toile.diagnosis.softened import softened
 from toile.diagnosis.stages import DiagnosisStages
 from toile.diagnosis.tracked import tracked_motion
-from toile.diagnosis.workers import ALONE, Workers
 from toile.effects.base import Effect
 from toile.effects.catalogue import CATALOGUE
+from toile.workers import ALONE, Workers
 
 Array = NDArray[np.float64]
 Inputs = TypeVarTuple("Inputs")

@@ -16,9 +16,9 @@ from toile.diagnosis.mechanics import Mechanics
 from toile.diagnosis.record import Shrink
 from toile.diagnosis.refits import Refit
 from toile.diagnosis.shooting import Base, WindowMotion
-from toile.diagnosis.workers import ALONE, Workers
 from toile.effects.base import Effect
 from toile.limits import Count, Finite, Unit
+from toile.workers import ALONE, Workers
 
 Array = NDArray[np.float64]
 

@@ -29,9 +29,9 @@ from toile.diagnosis.results import (
 )
 from toile.diagnosis.shrinkage import HeldOut, held_out_shrinks, prediction_gains
 from toile.diagnosis.tracked import track
-from toile.diagnosis.workers import ALONE, Workers
 from toile.physics.frame_steps import fewest_substeps
 from toile.reconstruction.lost_cloth import first_lost, outline_overlap
+from toile.workers import ALONE, Workers
 
 Inputs = TypeVarTuple("Inputs")
 Output = TypeVar("Output")

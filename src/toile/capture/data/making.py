@@ -4,23 +4,25 @@ from __future__ import annotations
 
 import json
 import shutil
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from toile.atomic_file import write_text
-from toile.capture.data.clips import TRUTH_FILE, Domain
+from toile.capture.data.clips import TRUTH_FILE, Domain, PlannedClip
 from toile.errors import InputError
 from toile.json_file import read_json_object
 from toile.progress import Report, silent
 from toile.scenes.atomic_folder import folder_written_atomically
 from toile.scenes.native import write_multi_view_description
 from toile.scenes.native_views import view_files
+from toile.workers import ALONE, Workers
 
 DATA_FILE = "data.json"
 FORMAT = 1
 
 
-def make_data(domain: Domain, folder: Path, report: Report = silent) -> Path:
+def make_data(domain: Domain, folder: Path, report: Report = silent, workers: Workers = ALONE) -> Path:
     """Make a data set, or what is missing of one that was interrupted.
 
     ::
@@ -38,6 +40,7 @@ def make_data(domain: Domain, folder: Path, report: Report = silent) -> Path:
         domain: see Domain.
         folder: target; may hold a part of the same set.
         report: progress.
+        workers: make clips beside each other; where there are several, the domain goes to them.
 
     Returns:
         The folder.
@@ -49,20 +52,14 @@ def make_data(domain: Domain, folder: Path, report: Report = silent) -> Path:
     description = _plain({"format": FORMAT, **domain.describe(), "clips": [plan.folder for plan in plans]})
     _claim(folder, description)
     domain.share(folder)
-    report("clips", 0, len(plans))
-    for done, plan in enumerate(plans, 1):
-        target = folder / plan.folder
-        # What a killed run leaves behind beside its target.
+    missing = [plan for plan in plans if not (folder / plan.folder).exists()]
+    # What a killed run leaves behind beside its targets.
+    for plan in plans:
         for scrap in folder.glob(f".{plan.folder}.*"):
             shutil.rmtree(scrap)
-        if not target.exists():
-            truth = domain.truth(plan)
-            with folder_written_atomically(target, overwrite=False) as new:
-                new.mkdir()
-                recording = domain.film(plan, truth, new)
-                files = [view_files(view, f"views/{view.name}") for view in recording.views]
-                write_multi_view_description(recording, new, files)
-                truth.save(new / TRUTH_FILE, recording)
+    there = len(plans) - len(missing)
+    report("clips", there, len(plans))
+    for done, _ in enumerate(workers.map(partial(_make_clip, domain, folder), missing), there + 1):
         report("clips", done, len(plans))
     return folder
 
@@ -85,6 +82,18 @@ def clips_of(folder: Path) -> list[Path]:
             got=f"{type(error).__name__}: {error}",
         ) from error
     return [folder / name for name in names if (folder / name / TRUTH_FILE).is_file()]
+
+
+def _make_clip(domain: Domain, folder: Path, plan: PlannedClip) -> None:
+    """One clip; it appears when it is complete."""
+    target = folder / plan.folder
+    truth = domain.truth(plan)
+    with folder_written_atomically(target, overwrite=False) as new:
+        new.mkdir()
+        recording = domain.film(plan, truth, new)
+        files = [view_files(view, f"views/{view.name}") for view in recording.views]
+        write_multi_view_description(recording, new, files)
+        truth.save(new / TRUTH_FILE, recording)
 
 
 def _claim(folder: Path, description: dict[str, Any]) -> None:

@@ -19,6 +19,7 @@ from toile.evaluation.view_silhouettes import overlap_in_views
 from toile.rendering.warp.renderer import WarpRenderer
 from toile.scenes.multi_view import load_multi_view
 from toile.scenes.views import MultiView
+from toile.workers import Workers
 
 RING = CameraRing(views=3, side=48, distance=2.5, height=1.0, target=0.5, field_of_view=40.0)
 PILLAR = trimesh.creation.cylinder(radius=0.2, height=1.0, sections=12)
@@ -76,6 +77,11 @@ def test_the_same_settings_give_the_same_bytes_and_another_seed_others(
     assert contents(make_data(StandIn(), tmp_path / "again")) == contents(complete)
     other = contents(make_data(StandIn(1), tmp_path / "other"))
     assert other["000-walk/truth.npz"] != contents(complete)["000-walk/truth.npz"]
+
+
+def test_clips_made_beside_each_other_have_the_same_bytes(complete: Path, tmp_path: Path) -> None:
+    with Workers(2) as workers:
+        assert contents(make_data(StandIn(), tmp_path / "both", workers=workers)) == contents(complete)
 
 
 def test_a_killed_generation_is_completed_with_the_same_bytes(complete: Path, tmp_path: Path) -> None:

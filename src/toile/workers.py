@@ -1,7 +1,8 @@
-"""Independent pieces of one diagnosis on several cores; what comes out does not depend on how many."""
+"""Independent pieces of work on several cores; what comes out does not depend on how many."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Sequence
 from types import TracebackType
 from typing import TypeVar
@@ -16,7 +17,7 @@ _SHARED = "1M"
 
 
 class Workers:
-    """Processes that share the work of a diagnosis, each with one thread; to be used in a ``with``.
+    """Processes that share independent work, each with one thread; to be used in a ``with``.
 
     Args:
         count: of processes; with one, everything happens in this one.
@@ -62,3 +63,8 @@ class Workers:
 
 ALONE = Workers(1)
 """One process."""
+
+
+def processes(workers: int) -> int:
+    """How many a setting asks for: a negative one means one per core."""
+    return (os.cpu_count() or 1) if workers < 0 else workers
