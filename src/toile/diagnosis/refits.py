@@ -23,10 +23,10 @@ from toile.diagnosis.continuity import Discrepancy, WindowSystem
 from toile.diagnosis.evidence import Evidence, Posterior
 from toile.diagnosis.mechanics import Mechanics, effect_systems
 from toile.diagnosis.shooting import Base, WindowMotion
-from toile.diagnosis.workers import ALONE, Workers
 from toile.effects.base import Effect
 from toile.geometry.camera import Camera
 from toile.limits import Finite, Fraction, NonNegative, Positive, Unit
+from toile.workers import ALONE, Workers
 
 Array = NDArray[np.float64]
 

@@ -176,11 +176,14 @@ def diagnose_session(
     of_images = [clip.seen.findings for clip in clips]
     learned = learned_chances(clips, motion)
     fitting = model.fitting
+    # How far causes from outside move the cloth is known where they were judged.
     displacements = {
-        name: displacement(fitting.clips, fitting.start, fit, model.width) for name, fit in fits.items()
+        name: displacement(fitting.clips, fitting.start, fit, model.width)
+        for name, fit in fits.items()
+        if name not in outside.causes
     }
     sizes = {name: one.last for name, one in displacements.items()}
-    every = {name: sizes.pop(name) for name in usual.names if name in fits}
+    every = {name: sizes.pop(name) for name in usual.names if name in sizes}
     displacements |= {name: cause.displacement for name, cause in outside.causes.items()}
     evidence = session_evidence(
         base,
@@ -278,7 +281,7 @@ def _report(
     )
     verdict = _of_class(verdict, evidence.chances, classes, settings)
     if len(found.clips) > 1:
-        verdict = refuted(verdict, found.left_out.shrinks)
+        verdict = refuted(verdict, evidence.chances, found.left_out.shrinks)
     following = ""
     # A class that is one answer is clear where its members are not.
     gains = found.gains if verdict.effect in (AMBIGUOUS, UNKNOWN) else {}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated
 
@@ -82,8 +82,6 @@ def verdict_of(
         if strongest is not None and others[strongest] > settings.beside * calibration.threshold:
             also = strongest
     if not clear:
-        stages = {STAGES[c].value for c in candidates if c in STAGES}
-        stage = stages.pop() if len(stages) == 1 else UNKNOWN
         listed = ", ".join(candidates[:_LISTED])
         if len(candidates) > _LISTED:
             listed += f" and {len(candidates) - _LISTED} more"
@@ -91,7 +89,7 @@ def verdict_of(
         return Verdict(
             AMBIGUOUS,
             candidates,
-            stage,
+            _stage_of(candidates),
             float(sum(found[c] for c in candidates)),
             f"{begin} clip cannot tell {listed} apart.",
             next_recording(candidates),
@@ -118,13 +116,14 @@ def verdict_of(
     return Verdict(first, candidates, STAGES[first].value, found[first], reason, "", also)
 
 
-def refuted(verdict: Verdict, shrinks: Mapping[str, Shrink]) -> Verdict:
+def refuted(verdict: Verdict, found: Mapping[str, float], shrinks: Mapping[str, Shrink]) -> Verdict:
     """The same verdict, unless its effect predicts worse what no fit has seen: then the clips are ambiguous.
 
     Evidence is of what was fitted, and flexible effects may gain there by what they cannot foretell.
 
     Args:
         verdict: to be checked.
+        found: probabilities.
         shrinks: of the error on a whole clip that was left out, by effect.
     """
     own = shrinks.get(verdict.effect)
@@ -132,18 +131,24 @@ def refuted(verdict: Verdict, shrinks: Mapping[str, Shrink]) -> Verdict:
         return verdict
     better = [name for name, s in shrinks.items() if s.low > max(0.0, s.best_placebo or 0.0)]
     candidates = tuple(dict.fromkeys((*verdict.candidates, *better)))
-    stages = {STAGES[name].value for name in candidates if name in STAGES}
     reason = f"{verdict.effect} has most evidence, but predicts the clip that was left out worse than nothing"
     reason += f"; {', '.join(better)} predicts it better." if better else "."
     return replace(
         verdict,
         effect=AMBIGUOUS,
         candidates=candidates,
-        stage=stages.pop() if len(stages) == 1 else UNKNOWN,
+        stage=_stage_of(candidates),
+        probability=float(sum(found[name] for name in candidates)),
         reason=reason,
         next_recording=next_recording(candidates),
         also=None,
     )
+
+
+def _stage_of(candidates: Sequence[str]) -> str:
+    """The stage of all of them, or unknown."""
+    stages = {STAGES[name].value for name in candidates if name in STAGES}
+    return stages.pop() if len(stages) == 1 else UNKNOWN
 
 
 def until(verdict: Verdict, frame: int) -> Verdict:
