@@ -96,6 +96,7 @@ def test_when_the_cloth_is_moved_is_graded_alike_for_all_generators(tmp_path: Pa
     }.items():
         found = marks(tmp_path, truth, "air_drag", session={**session, "moved": moved})
         scores[name] = found["frames_f1"]
+        assert found["frames_f1 [every frame]"] == pytest.approx(2 / 3)
     assert scores == {"right": 1.0, "late": pytest.approx(2 / 3), "nowhere": 0.0}
     # Moved from the first frame to the last, it says nothing: any answer would do.
     truth.label["magnitude"]["per_frame_mean"] = [1.0] * 4
