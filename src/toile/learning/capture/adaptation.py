@@ -55,7 +55,7 @@ class AdaptationStage(PhysicsStage):
         """See SimNetStage; the landmarks alone have gradients of PoseNet."""
         angles, root = self.pose_net(images)
         landmarks = self.placed(batch, self.networks.deformation(angles, root)).landmarks
-        world, A, T = super().deformed(batch, images)
+        world, A, T = self.dressed(batch, images, angles.detach(), root.detach())
         return replace(world, landmarks=landmarks), A, T
 
     def image_terms(self, batch: Batch, world: Deformed) -> dict[str, Tensor]:

@@ -91,8 +91,13 @@ class SimNetStage(Stage):
 
     def deformed(self, batch: Batch, images: Tensor) -> tuple[Deformed, Tensor, Tensor]:
         """Body and garment in the world, and SimNet's A and T."""
+        return self.dressed(batch, images, *self.posed(batch, images))
+
+    def dressed(
+        self, batch: Batch, images: Tensor, angles: Tensor, root: Tensor
+    ) -> tuple[Deformed, Tensor, Tensor]:
+        """The same of a pose θ and α that is given."""
         assert self.sim_net is not None
-        angles, root = self.posed(batch, images)
         A, T = self.sim_net(images)
         # The body has no gradients unless the pose has.
         world = self.placed(batch, self.networks.deformation(angles, root, A, T, with_body=True))
