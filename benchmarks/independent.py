@@ -13,7 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -109,6 +109,20 @@ def _label(scene: Path) -> str:
     return json.loads(path.read_text())["effect"] if path.is_file() else "withheld"
 
 
+def _missing(found: Sequence[Path], within: Path) -> Iterator[Path]:
+    """Scenes without an answer, each named when its turn has come."""
+    for scene in found:
+        if not (within / scene.name / DIAGNOSIS_FILE).is_file():
+            print(scene.name, flush=True)
+            yield scene
+
+
+def _withheld(found: Sequence[Path], within: Path) -> list[Path]:
+    """Folders of the answers to scenes whose label is not known."""
+    runs = [within / scene.name for scene in found if not (scene / "label.json").is_file()]
+    return [run for run in runs if (run / DIAGNOSIS_FILE).is_file()]
+
+
 def as_session(scene: Path, folder: Path) -> Path:
     """The folder of a session with this scene as its only clip; its corners were moved by hand."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -149,17 +163,13 @@ def _two(evidence: Mapping[str, float]) -> str:
 
 def sessions(found: Sequence[Path], *, table_only: bool) -> None:
     """Answer every scene as a session of one clip and write independent_sessions.md and .csv."""
-    for scene in [] if table_only else found:
-        if not (SESSIONS / scene.name / DIAGNOSIS_FILE).is_file():
-            print(scene.name, flush=True)
-            folder = as_session(scene, SESSIONS / f"{scene.name}_session")
-            diagnose_session_folder(folder, SESSIONS / scene.name, ["diagnosis=quick"])
+    for scene in [] if table_only else _missing(found, SESSIONS):
+        folder = as_session(scene, SESSIONS / f"{scene.name}_session")
+        diagnose_session_folder(folder, SESSIONS / scene.name, ["diagnosis=quick"])
     table = pd.DataFrame([session_row(scene) for scene in found]).fillna("")
     write_text(RESULTS / "independent_sessions.csv", table.to_csv(index=False))
-    for scene in found:
-        answer = SESSIONS / scene.name / DIAGNOSIS_FILE
-        if answer.is_file() and not (scene / "label.json").is_file():
-            GapReport.read(answer).write(RESULTS / "independent_sessions" / f"{scene.name}.json")
+    for run in _withheld(found, SESSIONS):
+        GapReport.read(run / DIAGNOSIS_FILE).write(RESULTS / "independent_sessions" / f"{run.name}.json")
     text = f"""# Scenes of the independent engine, each as a session of one clip
 
 Made by `python benchmarks/independent.py --sessions` (`toile diagnose session=…`, `diagnosis=quick`): 40
@@ -186,16 +196,12 @@ def main() -> None:
     if arguments.sessions:
         sessions(found, table_only=arguments.table)
         return
-    for scene in [] if arguments.table else found:
-        if not (OUTPUT / scene.name / DIAGNOSIS_FILE).is_file():
-            print(scene.name, flush=True)
-            diagnose_scene(scene, OUTPUT / scene.name, ["workers=2"])
+    for scene in [] if arguments.table else _missing(found, OUTPUT):
+        diagnose_scene(scene, OUTPUT / scene.name, ["workers=2"])
     table = pd.DataFrame([row(s) for s in found]).fillna("")
     write_text(RESULTS / "independent.csv", table.to_csv(index=False))
-    for scene in found:
-        answer = OUTPUT / scene.name / DIAGNOSIS_FILE
-        if answer.is_file() and not (scene / "label.json").is_file():
-            decided(answer.parent).write(RESULTS / "independent" / f"{scene.name}.json")
+    for run in _withheld(found, OUTPUT):
+        decided(run).write(RESULTS / "independent" / f"{run.name}.json")
     text = f"""# Scenes of the independent engine
 Made by `make independent` (`toile diagnose`, default settings); answers from the measured evidence with the
 committed calibration, in the table and in the predictions. The labelled scenes helped to develop the

@@ -147,6 +147,8 @@ def main() -> None:
         *(
             f"| {name} | {getattr(weights, name):.3g} | {getattr(shipped, name):.3g} |"
             for name in (field.name for field in fields(SessionWeights))
+            # Those of causes from outside are learnt elsewhere, see outside_causes.md.
+            if not name.startswith("outside_")
         ),
         "",
     ]
