@@ -23,6 +23,7 @@ from toile.atomic_file import write_text
 from toile.diagnosis.decision import NONE
 from toile.diagnosis.effect_evidence import EffectEvidence
 from toile.diagnosis.model_errors import ModelErrors
+from toile.effects.catalogue import WEIGHING
 from toile.errors import InputError
 from toile.json_file import read_json_object
 
@@ -206,13 +207,23 @@ class MotionEvidence:
         Causes from outside are judged first, where that can be done whatever the law is: what fits of a law
         say of causes within the cloth says nothing against them, for there the law's own errors count (a cut
         between modules, Plummer 2015).
+
+        A density is both. What is known of it with the forces within the cloth free falls with every force
+        that these are given, as that of an uneven stiffness does, so an error of the law may pass for it
+        there; and under a law another may. It has the lesser of the two odds, and rivals within the cloth.
         """
-        within = [name for name in self.effects if name not in self.outside]
+        both = {name for name in WEIGHING if name in self.outside and name in self.effects}
+        within = [name for name in self.effects if name not in self.outside or name in both]
         odds = {
             name: (self.nats(name) - weights.threshold) / weights.temperature
             + weights.learned * _log_odds(self.learned, name, self.effects)
             for name in within
         }
+        freed = {
+            name: (_nats(evidence, 1.0) - weights.outside_threshold) / weights.outside_temperature
+            for name, evidence in self.outside.items()
+        }
+        odds |= {name: min(odds[name], freed[name]) for name in both}
         none = [0.0]
         for name, value in odds.items():
             if name in self.usual:
@@ -226,8 +237,9 @@ class MotionEvidence:
                 odds[name] = value - float(np.logaddexp(0.0, -beyond))
         odds[NONE] = float(logsumexp(none))
         not_outside = float(logsumexp(list(odds.values())))
-        for name, evidence in self.outside.items():
-            value = (_nats(evidence, 1.0) - weights.outside_threshold) / weights.outside_temperature
+        for name, value in freed.items():
+            if name in both:
+                continue
             beyond = _beyond(self.sizes[name], weights.smallest, weights) if name in self.sizes else np.inf
             odds[NONE] = float(np.logaddexp(odds[NONE], not_outside + value - np.logaddexp(0.0, beyond)))
             odds[name] = float(not_outside + value - np.logaddexp(0.0, -beyond))

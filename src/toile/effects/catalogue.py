@@ -59,6 +59,9 @@ OUTSIDE = ("air_drag", "gusts", "gravity_tilt", "nonuniform_density", "frame_rat
 """Effects that change the balance of inertia, gravity and forces from outside; all others that move the cloth
 act within it, or through what holds it."""
 
+WEIGHING = ("nonuniform_density",)
+"""Those of them that change what forces within the cloth do to its motion as well: m a = m g + f."""
+
 MOVING = (Stage.MECHANICS, Stage.ACTUATION)
 """Stages whose effects move the cloth."""
 

@@ -97,6 +97,45 @@ def test_what_hardly_moves_the_cloth_is_no_cause_however_sure() -> None:
     assert chances(nothing, weights)[NONE] > 0.8
 
 
+def test_causes_from_outside_are_judged_by_what_free_forces_leave_alone() -> None:
+    """What a law says of drag counts neither for it nor against it: the law may be wrong."""
+    weights = SessionWeights()
+    of_law, freed = evidence((90.0, 3.0, 60.0)).effects["air_drag"], evidence((3.0, 2.0, 2.0)).effects
+    one = evidence((90.0, 3.0, 2.0))
+    assert chances(one, weights)["air_drag"] > 0.99
+    assert chances(replace(one, outside={"air_drag": freed["air_drag"]}), weights)["air_drag"] < 0.1
+    other = evidence((3.0, 3.0, 60.0))
+    found = chances(replace(other, outside={"air_drag": of_law}), weights)
+    assert found["air_drag"] > 0.99 > 0.01 > found["nonuniform_density"]
+
+
+def test_a_density_is_named_only_where_both_modules_have_it() -> None:
+    """It scales what forces within the cloth do, so each module alone may take a wrong law for it."""
+    weights = SessionWeights()
+    much, little = (evidence((2.0, 2.0, nats)).effects["nonuniform_density"] for nats in (90.0, 4.0))
+    of_law = evidence((2.0, 2.0, 90.0))
+    p = {
+        (law, freed): chances(
+            replace(
+                evidence((2.0, 2.0, law)), outside={"nonuniform_density": much if freed > 50 else little}
+            ),
+            weights,
+        )["nonuniform_density"]
+        for law in (90.0, 4.0)
+        for freed in (90.0, 4.0)
+    }
+    assert p[90.0, 90.0] > 0.99
+    assert max(p[90.0, 4.0], p[4.0, 90.0], p[4.0, 4.0]) < 0.1
+    # An effect within the cloth that explains as much under the law stays its rival.
+    both = replace(
+        of_law,
+        effects={**of_law.effects, "anisotropic_stiffness": much},
+        outside={"nonuniform_density": much},
+    )
+    found = chances(both, weights)
+    assert found["anisotropic_stiffness"] == pytest.approx(found["nonuniform_density"])
+
+
 def test_what_the_base_model_explains_is_not_left_for_others() -> None:
     sure = evidence((3.0, 90.0, 2.0))
     # Its errors are those that remain beside the usual effect, so its drop is none of theirs.
