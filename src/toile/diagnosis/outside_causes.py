@@ -94,6 +94,29 @@ def outside_causes(
         workers: share the windows of a clip.
     """
     outside = [effect for effect in effects if effect.NAME in OUTSIDE]
+    found = freed_fit(clips, motion, settings, stiffness, workers) if outside else None
+    return OutsideCauses({}) if found is None else judged(*found, outside, workers=workers)
+
+
+def freed_fit(
+    clips: Sequence[SeenClip],
+    motion: RefinedMotion,
+    settings: SessionSettings,
+    stiffness: tuple[float, float, float],
+    workers: Workers = ALONE,
+) -> tuple[JointFitting, JointFit, float] | None:
+    """The fit without any cause, the forces within the cloth free; None where holders take up every torque.
+
+    Args:
+        clips: see outside_causes.
+        motion: see outside_causes.
+        settings: see outside_causes.
+        stiffness: where it begins.
+        workers: share the windows of a clip.
+
+    Returns:
+        The fitting, its fit, and the width of the cloth [m].
+    """
     freed = settings.freed
     of_fits = replace(settings.fit, force=freed.force, outside=freed.outside, passes=freed.passes)
     held = min(freed.held, settings.held)
@@ -101,21 +124,21 @@ def outside_causes(
     for rounds_left in range(freed.rounds, -1, -1):
         model = SessionModel(clips, motion, settings, stiffness)
         fitting = model.fitting
-        if not outside or any(clip.shooting.n_external == 0 for clip in fitting.clips):
-            return OutsideCauses({})
+        if any(clip.shooting.n_external == 0 for clip in fitting.clips):
+            return None
         fitting.usual = (Hem(),)
         base = fitting.fitted(fitting.usual, fitting.start_fit(workers), workers)
         if rounds_left:
             # The quadratic of the images is that around another motion, with corners elsewhere.
             motion = replace(motion, positions=model.refined(base).positions)
-    return judged(fitting, base, outside, model.width, workers)
+    return fitting, base, model.width
 
 
 def judged(
     fitting: JointFitting,
     base: JointFit,
-    outside: Sequence[Effect],
     width: float,
+    outside: Sequence[Effect],
     workers: Workers = ALONE,
 ) -> OutsideCauses:
     """Evidence of causes around a fit without any, the first of whose usual effects is the hem.
@@ -126,8 +149,8 @@ def judged(
     Args:
         fitting: whose windows have forces of their own.
         base: its fit without any cause.
-        outside: candidates.
         width: of the cloth [m].
+        outside: candidates.
         workers: share the windows of a clip.
     """
     candidates = [*outside, *fitting.usual]

@@ -232,7 +232,7 @@ class TestCausesFromOutside:
         bound = JointFitting([joint_clip(problem, around, FRAMES)], STIFFNESS, np.zeros(3))
         of_law = bound.fitted((), bound.start_fit())
         linear = bound.linearised(candidates, of_law, bound.systems(candidates, of_law))
-        return judged(free, base, candidates, 0.3), of_law.misfit - linear["nonuniform_density"].misfit
+        return judged(free, base, 0.3, candidates), of_law.misfit - linear["nonuniform_density"].misfit
 
     @pytest.mark.parametrize(
         ("name", "values"),
