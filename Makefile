@@ -120,6 +120,10 @@ newton: setup ## Our steps beside newton's vertex block descent, if it is there:
 capture-aliases: setup ## What one camera can tell apart in a garment (minutes): docs/results/capture_aliases.md
 	$(BIN)/python benchmarks/capture_aliases.py
 
+.PHONY: capture-diagnosis
+capture-diagnosis: setup ## Which effect a garment lacks, from masks alone (half an hour): docs/results/capture_diagnosis.md; resumes
+	$(BIN)/python benchmarks/capture_diagnosis.py
+
 .PHONY: capture-balance
 capture-balance: setup ## Why a network's garment is out of balance (two minutes, after make capture-data): docs/results/capture_balance.md
 	$(BIN)/python benchmarks/capture_balance.py

@@ -78,6 +78,18 @@ CASES = [
     Case(GROUP, "capture: page of no data set", ("capture", "page", "run=nowhere"), says=("nowhere",)),
     Case(
         GROUP,
+        "capture: diagnosis of no clip",
+        ("capture", "diagnose", "run=nowhere"),
+        says=("nowhere", "truth.npz"),
+    ),
+    Case(
+        GROUP,
+        "capture: diagnosis that simulates no step",
+        ("capture", "diagnose", "run=nowhere", "diagnosis.substeps=0"),
+        says=("substeps",),
+    ),
+    Case(
+        GROUP,
         "capture: run with weights that are none",
         ("capture", "run", "run=nowhere", "weights=clip.mp4"),
         says=("weights", "clip.mp4"),

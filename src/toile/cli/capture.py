@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import logging
 from pathlib import Path
 
 from omegaconf import DictConfig
 
+from toile.atomic_file import write_text
 from toile.capture.data.clips import TRUTH_FILE, Truth
 from toile.capture.data.making import clips_of, make_data
 from toile.cli.configuration import instantiate
@@ -14,6 +16,8 @@ from toile.cli.terminal import print_path
 from toile.errors import InputError
 from toile.progress import Shown
 from toile.workers import Workers, processes
+
+DIAGNOSIS_FILE = "diagnosis.json"
 
 log = logging.getLogger(__name__)
 
@@ -25,6 +29,7 @@ def run(cfg: DictConfig) -> None:
         InputError: no such action.
     """
     actions = {"data": _data, "page": _page, "export": _export, "run": _run, "tables": _tables}
+    actions |= {"diagnose": _diagnose}
     actions |= dict.fromkeys(("pose", "warm", "physics", "adapt"), _train)
     if str(cfg.action) not in actions:
         raise InputError(
@@ -69,6 +74,20 @@ def _run(cfg: DictConfig) -> None:
     from toile.cli.capture_run import run_clips
 
     run_clips(cfg)
+
+
+def _diagnose(cfg: DictConfig) -> None:
+    """What the model of every clip lacks, from one camera's masks."""
+    from toile.diagnosis.garment.recording import diagnose_clip
+
+    settings = instantiate(cfg.diagnosis)
+    n_frames = None if cfg.n_frames is None else int(cfg.n_frames)
+    for clip in clips_of(Path(str(cfg.run))):
+        with Shown(log) as progress:
+            found = diagnose_clip(clip, int(cfg.view), n_frames, settings, progress)
+        print_path(write_text(clip / DIAGNOSIS_FILE, json.dumps(found, indent=1) + "\n"))
+        sure = "" if found["calibrated"] else " (uncalibrated)"
+        print(f"{clip.name}: {found['answer']}{sure}; candidates {', '.join(found['candidates'])}")
 
 
 def _tables(cfg: DictConfig) -> None:

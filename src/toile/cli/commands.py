@@ -86,7 +86,7 @@ COMMANDS = {
         "people in moving garments: data, and body and garment from one camera",
         "data preset=demo folder=<new folder>",
         plain="action",
-        words=("data", "page", "export", "pose", "warm", "physics", "adapt", "run", "tables"),
+        words=("data", "page", "export", "pose", "warm", "physics", "adapt", "run", "tables", "diagnose"),
         aliases=(("preset", "capture"), ("ablation", "capture_ablation")),
     ),
     "subject": Command(
