@@ -135,7 +135,7 @@ CAPTURE_SEEDS ?= 0 1 2
 # Ablations of the physics stage with every seed, and those with the first seed alone, which simulate most.
 CAPTURE_ABLATIONS ?= eq8_alone potential_alone
 CAPTURE_ABLATIONS_ONCE ?= no_silhouette_rays frames_2 frames_5 through_layer
-CAPTURE_TABLE ?= docs/results/capture
+CAPTURE_TABLE ?= docs/results/capture$(if $(filter demo,$(PRESET)),,_$(PRESET))
 CAPTURE_DOMAINS ?= $(if $(filter tiny,$(PRESET)),,studio wild)
 CAPTURE_FRAMES ?= $(if $(filter tiny,$(PRESET)),6,40)
 capture = $(BIN)/toile capture $(1) preset=$(PRESET)
@@ -145,7 +145,7 @@ TRAINED_MOTIONS = $(if $(filter tiny,$(PRESET)),walk,walk$(comma)twirl$(comma)sq
 
 .PHONY: capture-data
 capture-data: setup
-	$(call capture_data,train,$(TRAINED_MOTIONS),$(if $(filter tiny,$(PRESET)),1,2),1)
+	$(if $(filter demo tiny,$(PRESET)),$(call capture_data,train,$(TRAINED_MOTIONS),$(if $(filter tiny,$(PRESET)),1,2),1),$(call capture,data) folder=$(CAPTURE)/train settings.seed=1 workers=-1)
 	$(call capture_data,own,walk$(comma)squat,1,1000)
 
 .PHONY: capture-demo
