@@ -1,7 +1,9 @@
 """Learn what evidence of a session is worth: docs/results/session_weights.md, and the package's weights.
 
     python benchmarks/session_weights.py  # from docs/results/session_evidence*.csv, see make session-ladder
-    python benchmarks/session_weights.py --graded outputs/blind_predictions/NAME  # adds a graded set first
+    python benchmarks/session_weights.py --graded outputs/blind_predictions/NAME=MARKS.csv
+        # adds a graded set first, or FOLDER alone: diagnoses of sessions of the ladder, by name
+    python benchmarks/session_weights.py --into TABLE.csv --graded ...  # keeps them, nothing is learnt
 
 Reported probabilities are those of weights that the session had no part in. Sessions of the engine that is
 for sealed sets alone never teach: they say what weights learnt on other engines are worth.
@@ -15,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from session_ladder import cause_of
+from session_ladder import BLENDER, cause_of
 
 from toile.atomic_file import write_text
 from toile.diagnosis.decision import NONE
@@ -71,6 +73,10 @@ def cases_of(table: pd.DataFrame) -> tuple[list[SessionCase], list[str]]:
                 and np.isfinite(row["moves the cloth by [% of the width]"])
             },
         )
+        if "outside drop" in own:
+            freed = by_name[by_name["outside drop"].notna()]
+            outside = {str(name): _effect(row, "outside ") for name, row in freed.iterrows()}
+            evidence = replace(evidence, outside=outside)
         found.append(SessionCase(str(session), NONE if cause in AS_NONE else cause, evidence))
         clips.append("one" if "one clip" in str(rung) else "three")
     return found, clips
@@ -81,49 +87,79 @@ def graded_evidence(folder: Path, marks: pd.DataFrame) -> pd.DataFrame:
 
     Args:
         folder: of the predictions from first clips, every session in a folder of its own.
-        marks: of all sessions, see docs/results/blind_sessions_twelve_marks.csv.
+        marks: of all sessions, see docs/results/blind_sessions_marks.csv.
     """
-    rows = []
+    rows: list[dict[str, object]] = []
     of_motion = marks[(marks["clips"].astype(str) == "1") & ~marks["of_the_image"]]
     for mark in of_motion.itertuples():
-        evidence = MotionEvidence.load(folder / str(mark.scene) / EVIDENCE_FILE)
-        sizes = {**evidence.sizes, **evidence.usual}
-        for name, one in evidence.effects.items():
-            rows.append(
-                {
-                    "session": mark.scene,
-                    "engine": mark.generator,
-                    "cause": mark.truth,
-                    "rung": RUNGS[0],
-                    "usual": " ".join(evidence.usual),
-                    "cost of errors": evidence.base.cost,
-                    "expected cost": evidence.base.expected,
-                    "share": evidence.base.share,
-                    "effect": name,
-                    "drop": one.drop,
-                    "moves the cloth by [% of the width]": 100 * sizes.get(name, float("nan")),
-                    "information": " ".join(f"{value:.5g}" for value in one.information),
-                    "slopes": " ".join(f"{value:.5g}" for value in one.slopes),
-                    "fitted size": one.fitted_size,
-                    "learned": (evidence.learned or {}).get(name, float("nan")),
-                }
-            )
+        rows += _rows(folder / str(mark.scene), str(mark.scene), str(mark.generator), str(mark.truth))
     return pd.DataFrame(rows)
 
 
-def _effect(row: pd.Series) -> EffectEvidence:
-    information, slopes = (tuple(map(float, str(row[key]).split())) for key in ("information", "slopes"))
-    return EffectEvidence(float(row["drop"]), information, slopes, float(row["fitted size"]))
+def developed_evidence(folder: Path) -> pd.DataFrame:
+    """The same of diagnoses from first clips of sessions that session_ladder names."""
+    rows: list[dict[str, object]] = []
+    for run in sorted(path.parent for path in folder.glob(f"*/{EVIDENCE_FILE}")):
+        engine = "blender" if run.name.startswith(BLENDER) else "toile"
+        rows += _rows(run, run.name, engine, cause_of(run.name))
+    return pd.DataFrame(rows)
+
+
+def _rows(run: Path, session: str, engine: str, cause: str) -> list[dict[str, object]]:
+    evidence = MotionEvidence.load(run / EVIDENCE_FILE)
+    sizes = {**evidence.sizes, **evidence.usual}
+    return [
+        {
+            "session": session,
+            "engine": engine,
+            "cause": cause,
+            "rung": RUNGS[0],
+            "usual": " ".join(evidence.usual),
+            "cost of errors": evidence.base.cost,
+            "expected cost": evidence.base.expected,
+            "share": evidence.base.share,
+            "effect": name,
+            **_columns(one, ""),
+            "moves the cloth by [% of the width]": 100 * sizes.get(name, float("nan")),
+            "learned": (evidence.learned or {}).get(name, float("nan")),
+            **(_columns(evidence.outside[name], "outside ") if name in evidence.outside else {}),
+        }
+        for name, one in evidence.effects.items()
+    ]
+
+
+def _columns(one: EffectEvidence, which: str) -> dict[str, object]:
+    return {
+        f"{which}drop": one.drop,
+        f"{which}information": " ".join(f"{value:.5g}" for value in one.information),
+        f"{which}slopes": " ".join(f"{value:.5g}" for value in one.slopes),
+        f"{which}fitted size": one.fitted_size,
+    }
+
+
+def _effect(row: pd.Series, which: str = "") -> EffectEvidence:
+    information, slopes = (
+        tuple(map(float, str(row[f"{which}{key}"]).split())) for key in ("information", "slopes")
+    )
+    return EffectEvidence(float(row[f"{which}drop"]), information, slopes, float(row[f"{which}fitted size"]))
 
 
 def main() -> None:
     """Write the page and the weights."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--graded", type=Path, help="folder of the predictions of a graded set")
+    help_ = "FOLDER=MARKS.csv of graded sets, FOLDER of others"
+    parser.add_argument("--graded", nargs="+", default=[], help=help_)
+    parser.add_argument("--into", type=Path, default=GRADED, help="another table than that which teaches")
     given = parser.parse_args()
-    if given.graded:
-        marks = pd.read_csv(RESULTS / "blind_sessions_twelve_marks.csv")
-        graded_evidence(given.graded, marks).to_csv(GRADED, index=False, float_format="%.5g")
+    for one in given.graded:
+        folder, _, marks = str(one).partition("=")
+        new = graded_evidence(Path(folder), pd.read_csv(marks)) if marks else developed_evidence(Path(folder))
+        if given.into.is_file():
+            there = pd.read_csv(given.into)
+            new = pd.concat([there[~there["session"].isin(new["session"])], new])
+        write_text(given.into, new.to_csv(index=False, float_format="%.5g"))
+    if given.into != GRADED:
+        return
     ladder = cases_of(pd.read_csv(RESULTS / "session_evidence.csv"))
     graded = pd.read_csv(GRADED)
     never = graded["engine"] == NEVER_LEARNT_FROM
@@ -137,7 +173,8 @@ def main() -> None:
         "# Weights of a session's evidence",
         "",
         "Made by `python benchmarks/session_weights.py` from `session_evidence.csv` (`make session-ladder`) "
-        f"and `session_evidence_graded.csv` (a sealed set after grading): {len(cases)} cases of "
+        f"and `session_evidence_graded.csv` (sealed sets after grading, sessions of "
+        f"development): {len(cases)} cases of "
         f"{answers['session'].nunique()} generated sessions of two engines, open labels. Probabilities are "
         "those of weights that the session had no part in. Development data, no blind check; `strange` and "
         "`strangeness` are set by hand.",
