@@ -152,7 +152,7 @@ def test_names_of_motion_files_differ() -> None:
         MotionFiles(["a/walk.bvh", "b/walk.glb"])
 
 
-@pytest.mark.parametrize(("preset", "images"), [("standard", 26400), ("paper", 356400)])
+@pytest.mark.parametrize(("preset", "images"), [("standard", 17600), ("paper", 356400)])
 def test_large_presets_say_what_they_would_make(toile, preset: str, images: int) -> None:
     said = toile("capture", "data", f"preset={preset}", "folder=set", "dry_run=true")
     assert said.status == 0, said.err
