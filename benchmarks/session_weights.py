@@ -151,6 +151,8 @@ def main() -> None:
     parser.add_argument("--graded", nargs="+", default=[], help=help_)
     parser.add_argument("--into", type=Path, default=GRADED, help="another table than that which teaches")
     given = parser.parse_args()
+    if given.into != GRADED and not given.graded:
+        parser.error("--into: expected --graded beside it, got nothing to keep")
     for one in given.graded:
         folder, _, marks = str(one).partition("=")
         new = graded_evidence(Path(folder), pd.read_csv(marks)) if marks else developed_evidence(Path(folder))
