@@ -216,7 +216,8 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
     sizes |= {name: cause.displacement.last for name, cause in causes.items()}
     from_outside = {name: cause.evidence for name, cause in causes.items()}
     said = chances(
-        MotionEvidence(errors, evidence, learned or None, every, sizes, from_outside), SessionWeights.load()
+        MotionEvidence(errors, evidence, learned or None, every, sizes, from_outside),
+        SessionWeights.load().of_clips(len(clips)),
     )
     shrink = _shrink(model, base, fits, moving, truth_is, settings, clips[-1].problem.scene.fps)
     for row in rows:

@@ -151,7 +151,7 @@ def diagnose_session(
     plain = pipeline.run(stages.plain(0.5), motion)
     usual = pipeline.run(stages.usual(0.53), motion, plain)
     base = base_of_session(plain, usual)
-    weights = SessionWeights.load()
+    weights = SessionWeights.load().of_clips(len(clips))
     outside = pipeline.run(
         outside_stage(clips, together, settings.stiffness, moving, 0.55, made_from, workers), motion
     )

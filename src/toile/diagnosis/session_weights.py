@@ -14,10 +14,10 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+from numpy.polynomial.hermite_e import hermegauss
 from numpy.typing import NDArray
 from scipy.optimize import minimize
-from scipy.special import logsumexp, softmax
-from scipy.stats import norm
+from scipy.special import log_ndtr, softmax
 
 from toile.atomic_file import write_text
 from toile.diagnosis.decision import NONE
@@ -46,6 +46,9 @@ _CAUSES = 10.0
 _LAPSE = 0.02
 """Share of cases that teach nothing, because what acts is too small to be seen or a fit has failed."""
 
+_AT, _SHARES = hermegauss(7)
+"""Places and shares, which sum to the root of 2π, at which a normal distribution is averaged over."""
+
 _LEAST = 1e-4
 """Probability of the learned decision that says no more, and share of the usual misfit that does."""
 
@@ -63,6 +66,8 @@ class SessionWeights:
         beyond: e-folds of the odds against none at most for each logarithm beyond that distance.
         threshold: evidence at which an effect and none are equally probable [nats].
         temperature: evidence by which the odds of an effect grow e-fold [nats].
+        law_spread: deviation of the logarithm of both from cloth to cloth: by how much the law is wrong about
+            a cloth like none that taught them is not known.
         learned: weight of the learned decision's log odds among effects.
         outside_threshold: evidence, the forces within the cloth free, at which a cause from outside and all
             that is not from there are equally probable [nats].
@@ -80,6 +85,7 @@ class SessionWeights:
     beyond: float = 12.0
     threshold: float = 17.0
     temperature: float = 4.0
+    law_spread: float = 0.0
     learned: float = 0.5
     outside_threshold: float = 15.0
     outside_temperature: float = 4.0
@@ -107,6 +113,32 @@ class SessionWeights:
                 expected="what benchmarks/session_weights.py writes",
                 got=f"{type(error).__name__}: {error}",
             ) from error
+
+    def of_clips(self, n: int) -> SessionWeights:
+        """The weights for several clips; these are for one.
+
+        By how much evidence is too large, the temperature, is what the model's own errors add to the noise.
+        The noise of n clips is averaged; what a law on a grid is wrong by is alike in all of them and is not
+        (a bias that clips share, as between the studies of a meta-analysis): of n clips 1 + n (T - 1) instead
+        of T. Thresholds grow by as much, for they are of the same errors.
+
+        Args:
+            n: clips, one or more.
+        """
+        if n < 1:
+            raise ValueError(f"of_clips: expected one clip or more, got {n}")
+
+        def factor(temperature: float) -> float:
+            return (1.0 + n * max(temperature - 1.0, 0.0)) / max(temperature, 1.0)
+
+        of_law, freed = factor(self.temperature), factor(self.outside_temperature)
+        return replace(
+            self,
+            threshold=of_law * self.threshold,
+            temperature=of_law * self.temperature,
+            outside_threshold=freed * self.outside_threshold,
+            outside_temperature=freed * self.outside_temperature,
+        )
 
     def write(self, path: Path, source: str) -> None:
         """Write them with what they were learnt from."""
@@ -200,6 +232,26 @@ class MotionEvidence:
     def logits(self, weights: SessionWeights) -> dict[str, float]:
         """Log odds of every effect and of none of them, up to a common constant.
 
+        Evidence within the cloth is as wrong as the law is, and by how much that is differs between cloths
+        more than few of them can teach. So threshold and temperature are averaged over (``law_spread``):
+        what is a little above a threshold is no certainty, however steep the odds of those that taught.
+        """
+        if not weights.law_spread:
+            return self._logits(weights)
+        each = []
+        for at, share in zip(_AT, _SHARES / _SHARES.sum(), strict=True):
+            wrong = float(np.exp(weights.law_spread * at))
+            of_law = replace(
+                weights, threshold=wrong * weights.threshold, temperature=wrong * weights.temperature
+            )
+            found = self._logits(of_law)
+            values = np.array(list(found.values()))
+            each.append(np.log(share) + values - np.logaddexp.reduce(values))
+        return dict(zip(found, map(float, np.logaddexp.reduce(each)), strict=True))
+
+    def _logits(self, weights: SessionWeights) -> dict[str, float]:
+        """The same of a law whose errors are known.
+
         None is an interval and no point: an effect of the size that a model on a grid is usually wrong by is
         none, however sure the clips are of it (Berger and Delampady 1987). So what speaks for an effect
         speaks for none as well, less with every e-fold of its size; rivals keep their distance.
@@ -235,8 +287,8 @@ class MotionEvidence:
                 beyond = _beyond(self.sizes[name], weights.smallest, weights)
                 none.append(value - float(np.logaddexp(0.0, beyond)))
                 odds[name] = value - float(np.logaddexp(0.0, -beyond))
-        odds[NONE] = float(logsumexp(none))
-        not_outside = float(logsumexp(list(odds.values())))
+        odds[NONE] = float(np.logaddexp.reduce(none))
+        not_outside = float(np.logaddexp.reduce(list(odds.values())))
         for name, value in freed.items():
             if name in both:
                 continue
@@ -254,25 +306,36 @@ class SessionCase:
         session: that it comes from; cases of one session are left out together.
         cause: name of the effect, NONE for none that moves the cloth.
         evidence: see MotionEvidence.
+        clips: that it is from.
     """
 
     session: str
     cause: str
     evidence: MotionEvidence
+    clips: int = 1
+
+    def chances(self, weights: SessionWeights) -> dict[str, float]:
+        """Probabilities of effects and of none, by weights for one clip."""
+        return chances(self.evidence, weights.of_clips(self.clips))
 
 
-def learnt_weights(cases: Sequence[SessionCase], prior: SessionWeights | None = None) -> SessionWeights:
+def learnt_weights(
+    cases: Sequence[SessionCase], prior: SessionWeights | None = None, fixed: Collection[str] = ()
+) -> SessionWeights:
     """Weights under which causes are most probable.
 
     Args:
         cases: of sessions without and with every effect.
         prior: what few cases leave as it is; logarithms of its numbers have a deviation of 1. ``strange`` and
             ``strangeness`` stay: they need sessions whose cause is outside the catalogue.
+        fixed: names of weights that stay as well.
     """
     begin = SessionWeights() if prior is None else prior
     names: tuple[str, ...] = ()
     if any(case.evidence.effects for case in cases):
         names = (*names, "threshold", "temperature", "learned")
+        if begin.law_spread:
+            names = (*names, "law_spread")
     if any(case.evidence.outside for case in cases):
         names = (*names, "outside_threshold", "outside_temperature")
     if any(case.evidence.usual for case in cases):
@@ -281,14 +344,15 @@ def learnt_weights(cases: Sequence[SessionCase], prior: SessionWeights | None = 
     within = [case.evidence for case in cases if case.evidence.effects]
     if any(evidence.sizes for evidence in within):
         names = (*names, "smallest", "beyond")
+    names = tuple(name for name in names if name not in fixed)
     start = np.log([getattr(begin, name) for name in names])
 
     def of(logs: Array) -> SessionWeights:
         return replace(begin, **dict(zip(names, map(float, np.exp(logs)), strict=True)))
 
     def cost(logs: Array) -> float:
-        right = [chances(case.evidence, of(logs))[case.cause] for case in cases]
-        own = -sum(np.log((1 - _LAPSE) * p + _LAPSE / 10) for p in right)
+        right = [case.chances(of(logs))[case.cause] for case in cases]
+        own = sum(map(lapsed_loss, right))
         return float(own + 0.5 * ((logs - start) ** 2).sum())
 
     # Few numbers and a kink where the misfit reaches the usual one: no derivatives.
@@ -302,12 +366,24 @@ def chances(evidence: MotionEvidence, weights: SessionWeights) -> dict[str, floa
     return dict(zip(logits, map(float, softmax(list(logits.values()))), strict=True))
 
 
-def left_out_chances(cases: Sequence[SessionCase]) -> list[dict[str, float]]:
-    """Probabilities of every case by weights that its session had no part in."""
+def lapsed_loss(p: float) -> float:
+    """Negative log probability of a cause where some cases teach nothing [nats].
+
+    Args:
+        p: the cause's probability.
+    """
+    return -float(np.log((1 - _LAPSE) * p + _LAPSE / 10))
+
+
+def left_out_chances(
+    cases: Sequence[SessionCase], prior: SessionWeights | None = None, fixed: Collection[str] = ()
+) -> list[dict[str, float]]:
+    """Probabilities of every case by weights that its session had no part in, see learnt_weights."""
     found: dict[str, SessionWeights] = {}
     for session in dict.fromkeys(case.session for case in cases):
-        found[session] = learnt_weights([case for case in cases if case.session != session])
-    return [chances(case.evidence, found[case.session]) for case in cases]
+        others = [case for case in cases if case.session != session]
+        found[session] = learnt_weights(others, prior, fixed)
+    return [case.chances(found[case.session]) for case in cases]
 
 
 def _beyond(size: float, least: float, weights: SessionWeights) -> float:
@@ -323,8 +399,10 @@ def _more_than_usual(size: float, weights: SessionWeights) -> float:
     """
     x, median, spread = np.log(max(size, _LEAST)), np.log(weights.usual_size), weights.usual_spread
     width = max(np.log(_LARGEST) - median, 1.0)
-    cause = norm.logcdf(x, median, spread) - np.log(width)
-    return float(cause - norm.logpdf(x, median, spread) - np.log(_CAUSES))
+    off = (x - median) / spread
+    cause = log_ndtr(off) - np.log(width)
+    usual = -0.5 * off**2 - np.log(spread * np.sqrt(2 * np.pi))
+    return float(cause - usual - np.log(_CAUSES))
 
 
 @lru_cache(maxsize=4096)

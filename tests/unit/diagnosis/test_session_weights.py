@@ -206,3 +206,49 @@ def test_a_file_without_weights_is_refused(text: str, tmp_path: Path) -> None:
     path.write_text(text)
     with pytest.raises(InputError, match=str(path)):
         SessionWeights.load(path)
+
+
+def test_the_law_is_wrong_alike_in_every_clip() -> None:
+    """Three clips average noise but not the errors of the law; weights for one clip stay as they are."""
+    weights = SessionWeights(threshold=20.0, temperature=5.0, outside_temperature=2.0)
+    assert weights.of_clips(1) == weights
+    three = weights.of_clips(3)
+    assert three.temperature == pytest.approx(13.0)
+    assert three.threshold == pytest.approx(20.0 * 13 / 5)
+    assert three.outside_temperature == pytest.approx(4.0)
+    # Evidence that is the law's error in one clip is hardly more in three, where it has tripled;
+    one, tripled = (evidence((nats, 3.0, 3.0)) for nats in (25.0, 75.0))
+    odds = [
+        float(np.log(p["air_drag"] / p[NONE]))
+        for p in (chances(one, weights), chances(tripled, three), chances(tripled, weights))
+    ]
+    assert odds[0] < odds[1] < odds[0] + 1.5
+    assert odds[2] > odds[0] + 5
+    # without such errors (temperature 1) clips add up.
+    exact = SessionWeights(threshold=20.0, temperature=1.0)
+    assert exact.of_clips(3).temperature == exact.temperature
+    assert exact.of_clips(3).threshold == exact.threshold
+    with pytest.raises(ValueError, match="one clip or more"):
+        weights.of_clips(0)
+
+
+def test_not_to_know_how_wrong_the_law_is_takes_certainty_away() -> None:
+    sure = SessionWeights()
+    doubtful = replace(sure, law_spread=1.0)
+    # Far above any threshold nothing changes; a little above it does.
+    near, far = (evidence((nats, 3.0, 3.0)) for nats in (40.0, 400.0))
+    assert chances(near, sure)["air_drag"] > 0.98 > 0.95 > chances(near, doubtful)["air_drag"] > 0.6
+    assert chances(far, doubtful)["air_drag"] > 0.98
+    assert sum(chances(near, doubtful).values()) == pytest.approx(1.0)
+    # What causes from outside say hangs on no law.
+    outside = {"air_drag": far.effects["air_drag"]}
+    p, q = (chances(replace(near, outside=outside), w)["air_drag"] for w in (sure, doubtful))
+    assert q == pytest.approx(p)
+
+
+def test_how_wrong_laws_are_is_learnt_where_it_is_in_question() -> None:
+    known = cases(3.0, 30.0)[::3]
+    assert learnt_weights(known).law_spread == 0.0
+    doubtful = SessionWeights(law_spread=0.7)
+    assert learnt_weights(known, doubtful).law_spread != 0.7
+    assert learnt_weights(known, doubtful, fixed=("law_spread",)).law_spread == 0.7
