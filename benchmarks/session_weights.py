@@ -225,7 +225,8 @@ def write(cases: Mapping[str, Sequence[SessionCase]]) -> None:
         how = f"law_spread{'' if best['weights'] == 'as before' else ' and all within the cloth'}"
         weights.write(SHIPPED, f"{source}; {how}: {n} sessions of docs/results/session_weights.md")
     shown = {"index": False, "floatfmt": ".2f"}
-    answers = {name: _answers(own, before, weights) for name, own in cases.items()}
+    without = replace(weights, law_spread=0.0)
+    answers = {name: _answers(own, without, weights) for name, own in cases.items()}
     lines = [
         "# Weights of a session's evidence",
         "",
@@ -275,7 +276,7 @@ def _most_cautious(table: pd.DataFrame, losses: Sequence[Array]) -> pd.Series:
     more = [own - losses[least] for own in losses]
     near = [float(d.mean()) <= float(d.std(ddof=1)) / np.sqrt(len(d)) for d in more]
     same = table["weights"] == table["weights"].iloc[least]
-    return table[near & same].sort_values("law_spread").iloc[-1]
+    return table[same & np.array(near)].sort_values("law_spread").iloc[-1]
 
 
 def _score(asked: Sequence[tuple[SessionCase, SessionWeights]], suffix: str) -> dict[str, object]:
@@ -290,7 +291,7 @@ def _score(asked: Sequence[tuple[SessionCase, SessionWeights]], suffix: str) -> 
     return {f"loss{suffix}": loss, f"named{suffix}": right, f"wrongly{suffix}": wrong}
 
 
-def _answers(cases: Sequence[SessionCase], before: SessionWeights, weights: SessionWeights) -> pd.DataFrame:
+def _answers(cases: Sequence[SessionCase], without: SessionWeights, weights: SessionWeights) -> pd.DataFrame:
     rows = []
     for case in cases:
         p = case.chances(weights)
@@ -303,7 +304,7 @@ def _answers(cases: Sequence[SessionCase], before: SessionWeights, weights: Sess
                 "answer": first,
                 "its probability": p[first],
                 "of the cause": p[case.cause],
-                "of the cause, before": case.chances(before)[case.cause],
+                "without spread": case.chances(without)[case.cause],
                 "misfit over usual": case.evidence.left,
             }
         )
@@ -311,16 +312,16 @@ def _answers(cases: Sequence[SessionCase], before: SessionWeights, weights: Sess
 
 
 def _summary(answers: pd.DataFrame) -> str:
-    named = answers["its probability"] >= SessionSettings().named
+    named = (answers["its probability"] >= SessionSettings().named) & (answers["answer"] != NONE)
     right = answers["answer"] == answers["cause"]
     nulls = answers["cause"] == NONE
     false = int((nulls & named & ~right).sum())
-    losses = [-np.log(answers[c]).mean() for c in ("of the cause", "of the cause, before")]
+    losses = [-np.log(answers[c]).mean() for c in ("of the cause", "without spread")]
     return (
         f"{int((~nulls & right).sum())} of {int((~nulls).sum())} causes lead, "
         f"{int((~nulls & right & named).sum())} surely enough to be named; wrong names: {false} on "
         f"{int(nulls.sum())} without a cause, {int((~nulls & named & ~right).sum())} on the others; mean "
-        f"negative log probability of the cause {losses[0]:.2f}, with the weights before {losses[1]:.2f}."
+        f"negative log probability of the cause {losses[0]:.2f}, without `law_spread` {losses[1]:.2f}."
     )
 
 

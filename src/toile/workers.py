@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 from collections.abc import Callable, Iterator, Sequence
+from threading import Thread
 from types import TracebackType
 from typing import TypeVar
 
@@ -63,6 +65,23 @@ class Workers:
 
 ALONE = Workers(1)
 """One process."""
+
+
+def end_with_parent() -> None:
+    """Let this process end when the one that started it is gone, killed or not.
+
+    An initializer for pools: a worker looks for its parent only between two pieces of work, and those of a
+    diagnosis take minutes.
+    """
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+
+    def watch() -> None:
+        parent.join()
+        os._exit(1)
+
+    Thread(target=watch, name="end_with_parent", daemon=True).start()
 
 
 def processes(workers: int) -> int:

@@ -27,6 +27,7 @@ from toile.blind.sealing import KEY_SUFFIX, BlindSet, is_key_file
 from toile.diagnosis.record import DIAGNOSIS_FILE, GapReport
 from toile.errors import InputError
 from toile.json_file import parse_json_object
+from toile.workers import end_with_parent
 
 SECONDS_FILE = "seconds.txt"
 """Time that a diagnosis took, beside it."""
@@ -123,7 +124,7 @@ def run_blind(
         pool = ProcessPoolExecutor(
             workers,
             mp_context=get_context("spawn"),
-            initializer=forbid_reading_labels,
+            initializer=_begin,
             initargs=(str(blind.folder.resolve()), str(predictions.grade.resolve())),
         )
         with pool, _stopped_at_once(pool):
@@ -290,6 +291,12 @@ def forbid_reading_labels(set_folder: str, grade_folder: str) -> None:
             busy = False
 
     sys.addaudithook(hook)
+
+
+def _begin(set_folder: str, grade_folder: str) -> None:
+    """In a child process, first of all."""
+    end_with_parent()
+    forbid_reading_labels(set_folder, grade_folder)
 
 
 def _diagnose_one(diagnose: Diagnose, scene: str, output: str, settings: Any) -> str | None:

@@ -1,0 +1,59 @@
+"""Work on several cores: same results in the same order, and no process outlives its command."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from toile.workers import Workers
+
+PARENT = """
+import sys, time
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from toile.workers import end_with_parent
+
+if __name__ == "__main__":
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=end_with_parent) as pool:
+        pool.submit(print, pool.submit(__import__("os").getpid).result(), flush=True).result()
+        pool.submit(time.sleep, 600).result()
+"""
+
+
+def test_results_come_in_the_order_of_the_items() -> None:
+    with Workers(2) as workers:
+        assert list(workers.map(abs, [-3, 1, -2])) == [3, 1, 2]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="kills a process")
+def test_a_worker_ends_when_its_parent_is_killed(tmp_path: Path) -> None:
+    """A diagnosis whose command was killed went on for minutes, and answered a scene."""
+    script = tmp_path / "parent.py"
+    script.write_text(PARENT)
+    with subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        child = int(parent.stdout.readline())
+        os.kill(child, 0)
+        parent.send_signal(signal.SIGKILL)
+        parent.wait()
+        for _ in range(300):
+            if not _runs(child):
+                break
+            time.sleep(0.1)
+    assert not _runs(child)
+
+
+def _runs(process: int) -> bool:
+    """Whether it does; one that has ended and that nobody has asked about does not."""
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    status = Path(f"/proc/{process}/stat")
+    return not status.is_file() or status.read_text().rsplit(")", 1)[1].split()[0] != "Z"
