@@ -72,9 +72,11 @@ results: setup ## Reproduce the table of the README (needs the recordings in TOI
 	$(BIN)/python benchmarks/results.py
 
 .PHONY: train-surrogate
-train-surrogate: setup ## Train the neural surrogate on the CPU and put its weights into the package
+train-surrogate: setup ## Train the neural surrogate on the CPU, then behind the line sweeps, and put its weights into the package (two hours)
 	$(BIN)/toile train training=cpu threads=1 hydra.run.dir=outputs/surrogate
 	cp outputs/surrogate/surrogate.pt src/toile/physics/surrogate/surrogate.pt
+	$(BIN)/toile train training=further weights=packaged threads=1 hydra.run.dir=outputs/surrogate_further
+	$(BIN)/python benchmarks/surrogate_further.py outputs/surrogate_further --ship
 
 .PHONY: surrogate-card
 surrogate-card: setup ## Measure the neural surrogate: docs/surrogate.md

@@ -3,10 +3,12 @@
     python benchmarks/paper_recipe.py                       # everything (hours on one core)
     python benchmarks/paper_recipe.py --only factors        # the first frames, one factor at a time
     python benchmarks/paper_recipe.py --only fits --seeds 0 # the whole clip
+    python benchmarks/paper_recipe.py --cases "as it is" solver  # some lines of the tables
     python benchmarks/paper_recipe.py --write               # the tables of what there is so far
 
 One fit after the other. Every finished run leaves a JSON file in outputs/paper_recipe and is not run again;
-an interrupted one goes on from its last checkpoint. Writes docs/results/paper_recipe.csv and paper_recipe.md.
+an interrupted one goes on from its last checkpoint. Writes docs/results/paper_recipe.csv and paper_recipe.md,
+in which lines stay that have not been run here; ``weights`` says which network a line is of.
 """
 
 from __future__ import annotations
@@ -22,8 +24,10 @@ from typing import Any
 
 import pandas as pd
 from results import ROOT, machine, markdown, mean_of, toile
+from surrogate.records import fingerprint
 
 from toile import evaluate
+from toile.physics.surrogate.weights import packaged_weights
 
 BASE = ("scene=R1", "experiment=paper")
 # The first frames, with a window that grows faster than in the paper, so that a factor takes a minute.
@@ -35,6 +39,8 @@ SHORT = (
     f"optimization.cycles_per_frame={PER_FRAME}",
 )
 FIT_SEED = 0
+NETWORK = "simulator=surrogate"
+KEY = ["part", "case", "seed"]
 _RATES = "optimization.learning_rates"
 
 
@@ -59,8 +65,8 @@ def _factor(name: str, *overrides: str) -> Case:
 
 CASES = (
     Case("fits", "solver"),
-    Case("fits", "network, backpropagation", ("simulator=surrogate", "simulator/gradient=backprop")),
-    Case("fits", "network, implicit derivative", ("simulator=surrogate", "simulator/gradient=implicit")),
+    Case("fits", "network, backpropagation", (NETWORK, "simulator/gradient=backprop")),
+    Case("fits", "network, implicit derivative", (NETWORK,)),
     Case("fits", "solver, Eq. 17 as printed", ("loss=paper",)),
     _factor("as it is"),
     _factor("Eq. 17 as printed", "loss=paper"),
@@ -186,6 +192,7 @@ def numbers(case: Case, seed: int, folder: Path) -> dict[str, Any]:
         "cycles": int(last["cycle"]) + 1,
         "updates halved": log.read_text().count("the last update was") if log.exists() else 0,
         "overrides": " ".join(case.overrides),
+        "weights": fingerprint(packaged_weights()) if NETWORK in case.overrides else "",
         "run": str(folder.relative_to(ROOT)),
     }
 
@@ -207,7 +214,8 @@ def write(found: pd.DataFrame, outputs: Path) -> None:
     """docs/results/paper_recipe.csv and .md."""
     docs = ROOT / "docs" / "results"
     found.to_csv(docs / "paper_recipe.csv", index=False, float_format="%.5g")
-    where = machine(next(outputs.glob("*/metrics.json")))
+    here = next(outputs.glob("*/metrics.json"), None)
+    where = "another machine" if here is None else machine(here)
     parts = [HEAD.format(machine=where)]
     for part, (title, text) in PARTS.items():
         rows = found[found.part == part]
@@ -218,6 +226,17 @@ def write(found: pd.DataFrame, outputs: Path) -> None:
     (docs / "paper_recipe.md").write_text("\n\n".join(parts) + "\n")
 
 
+def with_known(found: pd.DataFrame, known: Path) -> pd.DataFrame:
+    """Lines of the table that is there and that have not been run here, beside those that have."""
+    if not known.is_file():
+        return found
+    before = pd.read_csv(known)
+    order = {case.name: k for k, case in reversed(list(enumerate(CASES)))}
+    both = pd.concat([one for one in (found, before) if len(one)]).drop_duplicates(KEY)
+    both = both.fillna({"overrides": "", "weights": ""})
+    return both.sort_values(["case", "seed"], key=lambda c: c.map(order) if c.name == "case" else c)
+
+
 def main() -> None:
     """See the module's text."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -225,6 +244,7 @@ def main() -> None:
     parser.add_argument(
         "--seeds", nargs="*", type=int, default=[0, 1, 2], help="of the fits of the whole clip"
     )
+    parser.add_argument("--cases", nargs="*", choices=[c.name for c in CASES], help="run no others")
     parser.add_argument("--write", action="store_true", help="run nothing")
     parser.add_argument("--outputs", type=Path, default=ROOT / "outputs" / "paper_recipe")
     options = parser.parse_args()
@@ -232,10 +252,10 @@ def main() -> None:
     outputs.mkdir(parents=True, exist_ok=True)
     tables = []
     for part in PARTS:
-        cases = [case for case in CASES if case.part == part]
+        cases = [case for case in CASES if case.part == part and case.name in (options.cases or [case.name])]
         seeds = options.seeds if part == "fits" else [FIT_SEED]
         tables.append(table(cases, seeds, outputs, run=not options.write and part in options.only))
-    found = pd.concat(tables)
+    found = with_known(pd.concat(tables), ROOT / "docs" / "results" / "paper_recipe.csv")
     if len(found):
         write(found, outputs)
         print(markdown(found.drop(columns=["run", "overrides"]), ".3g"))

@@ -41,7 +41,12 @@ from surrogate.stability import REST, StabilitySettings
 
 from toile.atomic_file import write_text
 from toile.errors import InputError
-from toile.physics.surrogate.weights import describe_weights, packaged_weights
+from toile.physics.surrogate.weights import (
+    describe_weights,
+    load_weights,
+    packaged_weights,
+    save_weights,
+)
 
 ROOT = Path(__file__).resolve().parent.parent
 QUICK = Extent(
@@ -212,6 +217,9 @@ def main() -> None:
     parser.add_argument("folder", type=Path, help="of the training")
     parser.add_argument("--quick", action="store_true", help="tiny, to see whether everything works")
     parser.add_argument("--without-rest", action="store_true", help="leave out the long motions (minutes)")
+    parser.add_argument(
+        "--ship", action="store_true", help="put the chosen epoch into the package if it is better"
+    )
     options = parser.parse_args()
     if not list((options.folder / "epochs").glob("*.pt")):
         sys.exit(f"error: no weights: {options.folder / 'epochs'}: expected those of a training, got none")
@@ -226,6 +234,27 @@ def main() -> None:
     except InputError as error:
         sys.exit(f"error: {error}")
     print(f"written: {write_text(docs / 'results' / 'surrogate_further.md', text)}")
+    if options.ship:
+        ship(records, options.folder)
+
+
+def ship(records: Records, folder: Path) -> None:
+    """Put the chosen epoch into the package, with how it was made; not where none is better than before."""
+    scores = score(_record(records, "further_choice"))
+    best = str(scores.idxmin())
+    if best == BEFORE:
+        print("the package keeps its weights: no epoch is better")
+        return
+    epoch, run = folder / "epochs" / f"{best}.pt", describe_weights(folder / "surrogate.pt")
+    before = describe_weights()
+    chosen = describe_weights(epoch)
+    about = {
+        **run,
+        "chosen": f"epoch {chosen['epoch']}, {chosen['steps']} of {run['steps'].split()[0]} steps",
+        "from": f"{before['command']}, sha256 {fingerprint(packaged_weights())}",
+    }
+    save_weights(packaged_weights(), load_weights(epoch), about)
+    print(f"written: {packaged_weights()}, sha256 {fingerprint(packaged_weights())}")
 
 
 if __name__ == "__main__":
