@@ -43,7 +43,7 @@ from surrogate.tradeoff import (
 
 from toile.atomic_file import write_text
 from toile.errors import InputError
-from toile.physics.surrogate.weights import describe_weights, packaged_weights
+from toile.physics.surrogate.weights import describe_weights, load_weights, packaged_weights
 from toile.reports.figures import STYLE
 from toile.reports.palette import INK, SERIES
 
@@ -62,6 +62,8 @@ PART_TIMES, PART_ERRORS = "tradeoff_times", "tradeoff_errors"
 def measured(records: Records, weights: Path, settings: TradeoffSettings) -> tuple[pd.DataFrame, str]:
     """Times and errors in one table, and how they were made."""
     about = {"weights": weights.name, "sha256": fingerprint(weights), **asdict(settings)}
+    # How long a pass takes hangs on the network's size alone.
+    size_of = {"widths": list(load_weights(weights).network.widths), **asdict(settings)}
 
     def times() -> pd.DataFrame:
         parts = [tradeoff(weights, size, n, settings) for size in settings.sizes for n in settings.batches]
@@ -70,7 +72,7 @@ def measured(records: Records, weights: Path, settings: TradeoffSettings) -> tup
     def all_errors() -> pd.DataFrame:
         return pd.concat([errors(weights, size, settings) for size in settings.sizes], ignore_index=True)
 
-    records.measure(PART_TIMES, about, times)
+    records.measure(PART_TIMES, size_of, times)
     records.measure(PART_ERRORS, about, all_errors)
     found = [records.read(part) for part in (PART_TIMES, PART_ERRORS)]
     first, second = (record for record in found if record is not None)

@@ -99,6 +99,16 @@ def test_names_both_effects_of_a_pair(report: GapReport) -> None:
     assert len(re.findall(r'<li class="here">', body(pair))) == 2
 
 
+def test_of_many_coefficients_the_surest_are_shown(report: GapReport) -> None:
+    """Gusts have dozens, and the first of them may be the least of what blows."""
+    drag = report.effects[0]
+    weak = {f"mode {k}": Estimate(0.1, 0.02, 0.18, "m/s²") for k in range(8)}
+    many = {**weak, "mode 8": Estimate(-2.0, -2.2, -1.8, "m/s²")}
+    gusty = dataclasses.replace(report, effects=(dataclasses.replace(drag, parameters=many),))
+    text = words(body(gusty))
+    assert text.index("mode 8") < text.index("mode 0") < text.index("4 more") < text.index("mode 7")
+
+
 def test_ambiguity_names_the_candidates_and_what_to_record(report: GapReport) -> None:
     text = words(header(answered(report, AMBIGUITY)))
     assert "Air drag or internal damping: this clip cannot tell." in text

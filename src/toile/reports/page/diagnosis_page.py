@@ -268,8 +268,13 @@ def _video(scene: Scene, n_frames: int) -> Video:
 
 
 def _telling(parameters: dict[str, Estimate]) -> list[tuple[str, Estimate]]:
-    """Parameters with readable names; those whose interval leaves out 0 come first."""
+    """Parameters with readable names; those whose interval leaves out 0 come first.
+
+    Of more than are shown at once, dozens of coefficients of gusts, the surest of them come first.
+    """
     known = [(name.replace("_", " "), e) for name, e in parameters.items()]
+    if len(known) > MAX_ESTIMATES:
+        known.sort(key=lambda item: -abs(item[1].estimate) / max(item[1].high - item[1].low, 1e-300))
     return sorted(known, key=lambda item: item[1].low <= 0 <= item[1].high)
 
 
