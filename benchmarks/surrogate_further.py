@@ -121,7 +121,8 @@ cloths ({_counts(extent.held_out)}), and on how many of them it is smaller after
 ## At rest
 
 The materials of the model card on stability, one pass a step; at rest is below {REST:g} edges a step
-at the end. After, only those are moved that did not come to rest before.
+at the end. After, only those are moved that did not come to rest before; all of them, with the weights of the
+package: the [model card](../surrogate.md#stability).
 
 {_rest(records, extent, fingerprint(after))}
 
