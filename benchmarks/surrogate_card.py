@@ -54,7 +54,7 @@ from surrogate.stability import (
 
 from toile.atomic_file import write_text
 from toile.errors import InputError
-from toile.physics.surrogate.weights import describe_weights, packaged_weights
+from toile.physics.surrogate.weights import describe_weights, load_weights, packaged_weights
 
 ROOT = Path(__file__).resolve().parent.parent
 # A window of the default recipe: six frames of two sub-steps.
@@ -168,10 +168,12 @@ class Measurements:
     def speed(self) -> None:
         """One table per size of the batch."""
         e = self.extent
+        # How long a pass takes hangs on the network's size alone.
+        about = {"widths": list(load_weights(self.weights).network.widths), "passes": self.passes}
         for size in e.batches:
             self.records.measure(
                 f"speed_{size}",
-                self.about | {"grid": e.grid, "batch": size, "repeats": e.repeats},
+                about | {"grid": e.grid, "batch": size, "repeats": e.repeats},
                 lambda size=size: speed(self.contenders, size, e.grid, e.repeats),  # type: ignore[misc]
             )
 
