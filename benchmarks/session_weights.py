@@ -53,9 +53,10 @@ SINCE = RESULTS / "session_evidence_since.csv"
 """The same of later sets, with what was judged beside free forces."""
 NEVER_LEARNT_FROM = "mujoco"
 """An engine for sealed sets alone."""
-FIXED = (*(f.name for f in fields(SessionWeights) if f.name.startswith("outside_")), "law_spread")
-"""Learnt elsewhere (benchmarks/outside_causes.py), or chosen among SPREADS."""
+FIXED = tuple(f.name for f in fields(SessionWeights) if f.name.startswith("outside_"))
+"""Learnt elsewhere: benchmarks/outside_causes.py."""
 SPREADS = (0.0, 0.35, 0.7, 1.0, 1.4)
+"""Values of law_spread among which one is chosen."""
 
 
 def cases_of(table: pd.DataFrame) -> list[SessionCase]:
@@ -255,7 +256,7 @@ def write(cases: Mapping[str, Sequence[SessionCase]]) -> None:
             f"| {f.name} | {getattr(before, f.name):.3g} | {getattr(weights, f.name):.3g} "
             f"| {getattr(learnt[spread], f.name):.3g} |"
             for f in fields(SessionWeights)
-            if f.name not in FIXED or f.name == "law_spread"
+            if f.name not in FIXED
         ),
         "",
     ]

@@ -47,7 +47,7 @@ _LAPSE = 0.02
 """Share of cases that teach nothing, because what acts is too small to be seen or a fit has failed."""
 
 _AT, _SHARES = hermegauss(7)
-"""Places and shares, which sum to the root of 2π, at which a normal distribution is averaged over."""
+"""Places, and shares up to a common factor, at which a normal distribution is averaged over."""
 
 _LEAST = 1e-4
 """Probability of the learned decision that says no more, and share of the usual misfit that does."""
@@ -239,7 +239,7 @@ class MotionEvidence:
         if not weights.law_spread:
             return self._logits(weights)
         each = []
-        for at, share in zip(_AT, _SHARES / _SHARES.sum(), strict=True):
+        for at, share in zip(_AT, _SHARES, strict=True):
             wrong = float(np.exp(weights.law_spread * at))
             of_law = replace(
                 weights, threshold=wrong * weights.threshold, temperature=wrong * weights.temperature
@@ -327,15 +327,14 @@ def learnt_weights(
     Args:
         cases: of sessions without and with every effect.
         prior: what few cases leave as it is; logarithms of its numbers have a deviation of 1. ``strange`` and
-            ``strangeness`` stay: they need sessions whose cause is outside the catalogue.
+            ``strangeness`` stay: they need sessions whose cause is outside the catalogue; and ``law_spread``:
+            it is about cloths that are not among the cases.
         fixed: names of weights that stay as well.
     """
     begin = SessionWeights() if prior is None else prior
     names: tuple[str, ...] = ()
     if any(case.evidence.effects for case in cases):
         names = (*names, "threshold", "temperature", "learned")
-        if begin.law_spread:
-            names = (*names, "law_spread")
     if any(case.evidence.outside for case in cases):
         names = (*names, "outside_threshold", "outside_temperature")
     if any(case.evidence.usual for case in cases):
@@ -375,14 +374,11 @@ def lapsed_loss(p: float) -> float:
     return -float(np.log((1 - _LAPSE) * p + _LAPSE / 10))
 
 
-def left_out_chances(
-    cases: Sequence[SessionCase], prior: SessionWeights | None = None, fixed: Collection[str] = ()
-) -> list[dict[str, float]]:
-    """Probabilities of every case by weights that its session had no part in, see learnt_weights."""
+def left_out_chances(cases: Sequence[SessionCase]) -> list[dict[str, float]]:
+    """Probabilities of every case by weights that its session had no part in."""
     found: dict[str, SessionWeights] = {}
     for session in dict.fromkeys(case.session for case in cases):
-        others = [case for case in cases if case.session != session]
-        found[session] = learnt_weights(others, prior, fixed)
+        found[session] = learnt_weights([case for case in cases if case.session != session])
     return [case.chances(found[case.session]) for case in cases]
 
 

@@ -246,9 +246,9 @@ def test_not_to_know_how_wrong_the_law_is_takes_certainty_away() -> None:
     assert q == pytest.approx(p)
 
 
-def test_how_wrong_laws_are_is_learnt_where_it_is_in_question() -> None:
+def test_what_is_fixed_is_not_learnt() -> None:
     known = cases(3.0, 30.0)[::3]
-    assert learnt_weights(known).law_spread == 0.0
     doubtful = SessionWeights(law_spread=0.7)
-    assert learnt_weights(known, doubtful).law_spread != 0.7
-    assert learnt_weights(known, doubtful, fixed=("law_spread",)).law_spread == 0.7
+    learnt = learnt_weights(known, doubtful, fixed=("threshold",))
+    assert (learnt.law_spread, learnt.threshold) == (0.7, doubtful.threshold)
+    assert learnt.temperature != doubtful.temperature
