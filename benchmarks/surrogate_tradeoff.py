@@ -48,7 +48,7 @@ from toile.reports.figures import STYLE
 from toile.reports.palette import INK, SERIES
 
 ROOT = Path(__file__).resolve().parent.parent
-QUICK = TradeoffSettings((8,), (1, 2), (1, 2), (1, 2), rounds=1, steps=1)
+QUICK = TradeoffSettings((8,), (1, 2), (1, 2), (2,), (1, 2), rounds=1, steps=1)
 # Errors at which it is asked who gets there first [% of width].
 LEVELS = {
     ERRORS[0]: (0.1, 0.03, 0.01, 0.001),
@@ -136,7 +136,11 @@ def everything(table: pd.DataFrame) -> str:
     """All that was measured; times of all batches in one row."""
     rows = []
     for (size, family, knob), part in table.groupby(["size", "family", "knob"], sort=False):
-        row = {"grid": f"{size}×{size}", "": family, "passes or iterations": knob or "until converged"}
+        row = {
+            "grid": f"{size}×{size}",
+            "": family,
+            "passes, sweeps or iterations": knob or "until converged",
+        }
         row |= {_short(e): tables.number(float(part[e].iloc[0])) for e in ERRORS}
         for its in part.to_dict("records"):
             row[f"batch {its['batch']} [ms]"] = f"{its[TIME]:.3g} ± {its['spread [ms]']:.1g}"
@@ -182,7 +186,8 @@ the reference is Newton's method converged to 10⁻⁶ of a vertex's weight, whi
 are mean distances of the vertices, median of the cloths: of one step, from every tenth state of the solver's
 motion (mean of these states); and after 10 and 50 steps from rest. Times are per cloth and step, without
 derivatives, of cloths in motion. Newton's method starts from its extrapolation and takes the cloths of a
-batch one after the other; *stopped* ends after so many iterations.
+batch one after the other; *stopped* ends after so many iterations. *Line sweeps* are the surrogate's step with
+all that is in it but the network.
 
 ![Error after 50 steps over time](../{PICTURE.as_posix()})
 

@@ -21,7 +21,7 @@ import torch
 from torch import Tensor, nn
 
 from surrogate.cases import FIRST_SEED, fits_case
-from surrogate.contenders import SOLVER, Build, solver
+from surrogate.contenders import SOLVER, Build, line_sweeps, solver
 from surrogate.speed import WARM_UP, Batch
 from toile.physics.cloth import Cloth
 from toile.physics.hybrid.simulator import HybridSimulator
@@ -36,6 +36,7 @@ SURROGATE = "network"
 LOW = "network, bfloat16"
 COMPILED = "network, compiled"
 HYBRID = "network, 1 pass, then Newton"
+SWEEPS = "no network, line sweeps"
 NEWTON = "Newton, stopped"
 WITH_NETWORK = (SURROGATE, LOW, COMPILED, HYBRID)
 MOTIONS = (10, 50)
@@ -55,7 +56,7 @@ class Contender:
 
     Attributes:
         family: see the names above.
-        knob: passes or Newton iterations; 0 for the solver, which goes on until it has converged.
+        knob: passes, sweeps or Newton iterations; 0 for the solver, which goes on until it has converged.
         build: of its simulator.
     """
 
@@ -72,6 +73,7 @@ class TradeoffSettings:
         sizes: vertices along a side.
         batches: cloths at once.
         passes: of the network.
+        sweeps: of the lines, without the network.
         iterations: of Newton's method.
         rounds: of the time, after one to warm up.
         steps: under the clock in each round.
@@ -80,6 +82,7 @@ class TradeoffSettings:
     sizes: tuple[int, ...] = (16, 32)
     batches: tuple[int, ...] = (1, 8, 32)
     passes: tuple[int, ...] = (1, 2, 4, 8)
+    sweeps: tuple[int, ...] = (4, 8, 16, 24)
     iterations: tuple[int, ...] = (1, 2, 3, 4)
     rounds: int = 3
     steps: int = 2
@@ -116,6 +119,7 @@ def contenders(weights: Path, settings: TradeoffSettings) -> list[Contender]:
     for family, change in ((LOW, _LowPrecision), (COMPILED, cache(_compiled))):
         found += [Contender(family, n, surrogate(n, partial(change, own))) for n in settings.passes[:3]]
     found += [Contender(HYBRID, n, hybrid(n)) for n in settings.iterations[:2]]
+    found += [Contender(SWEEPS, n, line_sweeps(n)) for n in settings.sweeps]
     return found + [Contender(NEWTON, n, newton(n)) for n in settings.iterations]
 
 

@@ -121,18 +121,17 @@ class BehindTheSweeps(Objective):
         for _ in range(n_steps):
             known = pool.problem(batch, since)
             problem = DifferentiableStepProblem.of(known)
-            x, r = surrogate.begin(problem)
+            visited = surrogate.begin(problem)
             for number in range(1, n_passes + 1):
-                before, r_before = x, r
                 if n_steps == 1:
                     # Nothing but the weights has a gradient: the kernels do for the network's inputs.
-                    before, r_before = x.detach(), r.detach()
-                    correction = surrogate.network(known, before, r_before)
-                else:
-                    correction = surrogate.network(problem, before, r_before)
+                    visited = visited.detached()
+                before, r_before = visited.last
+                correction = surrogate.network(known if n_steps == 1 else problem, before, r_before)
                 farthest = reach(problem, r_before.detach(), correction)
                 _limit(correction, farthest)
-                x, r = surrogate.improve(problem, before, r_before, correction, self.sweeps)
+                visited = surrogate.improve(problem, visited, correction, self.sweeps)
+                x, r = visited.last
                 if n_steps > 1:
                     _limit(x, farthest)
                 with torch.no_grad():

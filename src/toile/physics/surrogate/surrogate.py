@@ -8,16 +8,13 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from toile.physics.surrogate.descent import Visited, change, descend, lowest_among, wide
 from toile.physics.surrogate.network import GatedUNet
 from toile.physics.surrogate.problem import StepProblem
 
 # Eq. 4 is rescaled per sample by its own change, but not below this share of what a step along the local
 # stiffness would gain: a sample that is already solved must not shout.
 _LEAST_SHARE = 0.2
-# A displacement may be stretched up to this factor where Φ is flatter than the network thought.
-_LONGEST_STEP = 2.0
-# A step that is right to this fraction is taken as it is.
-_CLOSE_TO_WHOLE = 0.1
 # Largest gradient of one sample with respect to its displacements, in units of the rescaled loss.
 _LARGEST_GRADIENT = 3.0
 
@@ -64,7 +61,8 @@ class Surrogate(nn.Module):
     ) -> tuple[Tensor, Tensor]:
         """Approximate minimiser of Φ and the out-of-balance force there, (B, H, W, 3) each.
 
-        Every pass of the network is followed by ``sweeps`` relaxations of the warp and the weft lines.
+        Every pass of the network is followed by ``sweeps`` relaxations of the warp and the weft lines, and
+        these by the lowest point among all of the step so far.
 
         Φ never ends above its value at the best start: a displacement that would raise it is halved up to
         ``halvings`` times and then left out.
@@ -75,39 +73,41 @@ class Surrogate(nn.Module):
         self, problem: StepProblem, n_passes: int, sweeps: int, halvings: int = 3
     ) -> tuple[Tensor, Tensor]:
         """The same with a graph: differentiable in all that a DifferentiableStepProblem holds."""
-        x, r = self.begin(problem, halvings)
+        visited = self.begin(problem, halvings)
         for _ in range(n_passes):
-            x, r = self.improve(problem, x, r, self.network(problem, x, r), sweeps, halvings)
-        return x, r
+            correction = self.network(problem, *visited.last)
+            visited = self.improve(problem, visited, correction, sweeps, halvings)
+        return visited.last
 
-    def begin(self, problem: StepProblem, halvings: int = 3) -> tuple[Tensor, Tensor]:
-        """Where the first pass starts: the best start, settled; positions and out-of-balance force."""
-        x = problem.best_start()
-        return self._settle(problem, x, problem.residual(x), halvings)
+    def begin(self, problem: StepProblem, halvings: int = 3) -> Visited:
+        """Standing still, the best start, its lines settled, and the lowest point among these."""
+        still, best = problem.starts[:, 0], problem.best_start()
+        visited = Visited((still, best), (problem.residual(still), problem.residual(best)))
+        return lowest_among(problem, self._settle(problem, visited, halvings))
 
     def improve(
-        self, problem: StepProblem, x: Tensor, r: Tensor, correction: Tensor, sweeps: int, halvings: int = 3
-    ) -> tuple[Tensor, Tensor]:
-        """What a pass does with the network's displacement: positions and out-of-balance force after it.
+        self, problem: StepProblem, visited: Visited, correction: Tensor, sweeps: int, halvings: int = 3
+    ) -> Visited:
+        """What a pass does with the network's displacement.
 
         Args:
             problem: the step.
-            x: positions before, (B, H, W, 3).
-            r: out-of-balance force there.
+            visited: points before it.
             correction: of the network, (B, H, W, 3).
             sweeps: relaxations of the lines behind it.
             halvings: of every displacement, see ``solve``.
         """
-        x, r = _descend(problem, x, r, correction, halvings)
+        visited = visited.then(*descend(problem, *visited.last, correction, halvings))
         for _ in range(sweeps):
-            x, r = self._settle(problem, x, r, halvings)
-        return x, r
+            visited = self._settle(problem, visited, halvings)
+        return lowest_among(problem, visited)
 
-    def _settle(self, problem: StepProblem, x: Tensor, r: Tensor, halvings: int) -> tuple[Tensor, Tensor]:
+    def _settle(self, problem: StepProblem, visited: Visited, halvings: int) -> Visited:
         """Warp lines, then weft lines, each for itself: what is stiff along a line needs no learning."""
+        x, r = visited.last
         for axis in (0, 1):
-            x, r = _descend(problem, x, r, problem.line_step(x, r, axis), halvings)
-        return x, r
+            x, r = descend(problem, x, r, problem.line_step(x, r, axis), halvings)
+        return visited.then(x, r)
 
     def passes(self, problem: StepProblem, n_passes: int) -> Iterator[Pass]:
         """Passes for training; the gradient of each is for its own displacement only."""
@@ -125,7 +125,7 @@ class Surrogate(nn.Module):
         r = problem.residual(x)
         settled = x + problem.relaxation(x, r)
         r_settled = problem.residual(settled)
-        lower = _wide(_change(settled - x, r, r_settled) <= 0)
+        lower = wide(change(settled - x, r, r_settled) <= 0)
         return torch.where(lower, settled, x), torch.where(lower, r_settled, r)
 
     def _judge(self, problem: StepProblem, x: Tensor, r: Tensor, correction: Tensor) -> Pass:
@@ -134,8 +134,8 @@ class Surrogate(nn.Module):
         relaxation = problem.relaxation(moved, r_moved)
         settled = moved + relaxation
         r_settled = problem.residual(settled)
-        own = _change(correction, r, r_moved)
-        total = own + _change(relaxation, r_moved, r_settled)
+        own = change(correction, r, r_moved)
+        total = own + change(relaxation, r_moved, r_settled)
         # Through the relaxation x + T r(x) the gradient is (I - H T) times the one behind it; the Hessian
         # acts by a central difference.
         direction = problem.relaxation(moved, r_settled)
@@ -143,16 +143,16 @@ class Surrogate(nn.Module):
         ahead, behind = (problem.residual(moved + s * step * direction) for s in (1.0, -1.0))
         through = -r_settled - (ahead - behind) / (2 * step)
         good = (total < 0) & _finite(settled)
-        change = torch.where(torch.isfinite(total), total, own)
-        gradient = torch.where(_wide(_finite(through)), through, -r_moved)
-        gradient = gradient / _wide(loss_scale(problem, r, change))
+        gained = torch.where(torch.isfinite(total), total, own)
+        gradient = torch.where(wide(_finite(through)), through, -r_moved)
+        gradient = gradient / wide(loss_scale(problem, r, gained))
         gradient = limited(gradient, reach(problem, r, correction))
         return Pass(
             correction=correction,
             gradient=gradient,
-            positions=torch.where(_wide(good), settled, x),
-            residual=torch.where(_wide(good), r_settled, r),
-            potential_change=change,
+            positions=torch.where(wide(good), settled, x),
+            residual=torch.where(wide(good), r_settled, r),
+            potential_change=gained,
             accepted=good,
         )
 
@@ -181,53 +181,13 @@ def limited(gradient: Tensor, farthest: Tensor) -> Tensor:
         farthest: size of these, (B,).
     """
     usable = _finite(gradient) & torch.isfinite(farthest)
-    gradient = torch.where(_wide(usable), gradient, torch.zeros_like(gradient))
+    gradient = torch.where(wide(usable), gradient, torch.zeros_like(gradient))
     size = gradient.flatten(1).norm(dim=1) * torch.where(usable, farthest, 0.0)
-    return gradient * _wide(_LARGEST_GRADIENT / size.clamp(min=_LARGEST_GRADIENT)).to(gradient.dtype)
-
-
-def _descend(
-    problem: StepProblem, x: Tensor, r: Tensor, displacement: Tensor, halvings: int
-) -> tuple[Tensor, Tensor]:
-    """Move along the displacement, farther or less far where that is better, and only where Φ falls."""
-    ahead = problem.residual(x + displacement)
-    along, curvature = (_dot(displacement, f) for f in (r, r - ahead))
-    length = _ratio(along, curvature).clamp(0.0, _LONGEST_STEP)
-    length = torch.where((length - 1).abs() <= _CLOSE_TO_WHOLE, 1.0, length)
-    for _ in range(halvings + 1):
-        trial = x + _wide(length) * displacement
-        r_trial = ahead if bool((length == 1).all()) else problem.residual(trial)
-        lower = _change(trial - x, r, r_trial) <= 0
-        if bool(lower.all()):
-            break
-        length = torch.where(lower, length, 0.5 * length)
-    return torch.where(_wide(lower), trial, x), torch.where(_wide(lower), r_trial, r)
-
-
-def _ratio(along: Tensor, curvature: Tensor) -> Tensor:
-    """Their ratio, 1 where both vanish; where there is no curvature, it has no derivative."""
-    curved = curvature != 0
-    straight = (along / curvature).detach().nan_to_num(nan=1.0)
-    return torch.where(curved, along / torch.where(curved, curvature, 1.0), straight)
-
-
-def _wide(per_sample: Tensor) -> Tensor:
-    return per_sample[:, None, None, None]
-
-
-def _dot(a: Tensor, b: Tensor) -> Tensor:
-    """Inner product of every sample, (B,) float64."""
-    return (a.double() * b.double()).sum((1, 2, 3))
+    return gradient * wide(_LARGEST_GRADIENT / size.clamp(min=_LARGEST_GRADIENT)).to(gradient.dtype)
 
 
 def _finite(tensor: Tensor) -> Tensor:
     return torch.isfinite(tensor).flatten(1).all(1)
-
-
-def _change(displacement: Tensor, before: Tensor, after: Tensor) -> Tensor:
-    """Change of Φ along a displacement by the trapezoidal rule; no digits are lost between large energies."""
-    change = -0.5 * _dot(displacement, before + after)
-    return torch.nan_to_num(change, nan=torch.inf, posinf=torch.inf, neginf=torch.inf)
 
 
 def _local_stiffness(problem: StepProblem) -> Tensor:
