@@ -186,8 +186,8 @@ the reference is Newton's method converged to 10⁻⁶ of a vertex's weight, whi
 are mean distances of the vertices, median of the cloths: of one step, from every tenth state of the solver's
 motion (mean of these states); and after 10 and 50 steps from rest. Times are per cloth and step, without
 derivatives, of cloths in motion. Newton's method starts from its extrapolation and takes the cloths of a
-batch one after the other; *stopped* ends after so many iterations. *Line sweeps* are the surrogate's step with
-all that is in it but the network.
+batch one after the other; *stopped* ends after so many iterations. *Line sweeps* are the surrogate's step
+with all that is in it but the network.
 
 ![Error after 50 steps over time](../{PICTURE.as_posix()})
 

@@ -7,9 +7,11 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from threading import Thread
 from types import TracebackType
-from typing import TypeVar
+from typing import Generic, TypeVar
 
 from joblib import Parallel, delayed
+
+from toile.denormals import denormals_flushed, flushing
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -51,7 +53,7 @@ class Workers:
             self._parallel.__exit__(kind, error, trace)
 
     def map(self, task: Callable[[T], R], items: Sequence[T]) -> Iterator[R]:
-        """Results in the order of the items, as they come.
+        """Results in the order of the items, as they come. Denormal numbers count there as they do here.
 
         Args:
             task: of one item; it and what it returns go from process to process.
@@ -59,8 +61,21 @@ class Workers:
         """
         if self._parallel is None or len(items) < 2:
             return map(task, items)
+        if flushing():
+            task = _Flushed(task)
         found: Iterator[R] = self._parallel(delayed(task)(item) for item in items)
         return found
+
+
+class _Flushed(Generic[T, R]):
+    """A task during which denormal numbers count as zero."""
+
+    def __init__(self, task: Callable[[T], R]) -> None:
+        self.task = task
+
+    def __call__(self, item: T) -> R:
+        with denormals_flushed():
+            return self.task(item)
 
 
 ALONE = Workers(1)

@@ -17,9 +17,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from toile.denormals import denormals_flushed
 from toile.diagnosis.continuity import Discrepancy
 from toile.diagnosis.damping import Damping
-from toile.diagnosis.denormals import denormals_flushed
 from toile.diagnosis.force_modes import TOLERANCE, external_first, n_balanced
 from toile.diagnosis.sensitivities import KnownMotion, LoadSensitivities, StepForces, TangentSettings
 from toile.diagnosis.template_tension import RIDGE, TemplateTension

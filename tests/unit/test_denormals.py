@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from toile.diagnosis.denormals import denormals_flushed
+from toile.denormals import denormals_flushed, flushing
+from toile.workers import Workers
 
 TINY = np.full((4, 4), 1e-20, np.float32)
 
@@ -32,3 +33,28 @@ def test_numbers_that_are_no_denormals_stay_as_they_were() -> None:
     before = some @ some.T
     with denormals_flushed():
         np.testing.assert_array_equal(some @ some.T, before)
+
+
+def test_what_is_inside_does_not_end_what_is_around() -> None:
+    if not torch.set_flush_denormal(False):
+        pytest.skip("this processor cannot flush denormal numbers")
+    with denormals_flushed():
+        with denormals_flushed():
+            assert flushing()
+        assert flushing()
+        assert product() == 0
+    assert not flushing()
+
+
+def _flushes(item: int) -> bool:
+    return flushing()
+
+
+def test_workers_do_as_the_one_who_asks() -> None:
+    if not torch.set_flush_denormal(False):
+        pytest.skip("this processor cannot flush denormal numbers")
+    with Workers(2) as workers:
+        assert list(workers.map(_flushes, [0, 1])) == [False, False]
+        with denormals_flushed():
+            assert list(workers.map(_flushes, [0, 1])) == [True, True]
+        assert list(workers.map(_flushes, [0, 1])) == [False, False]
