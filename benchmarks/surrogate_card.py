@@ -54,6 +54,7 @@ from surrogate.stability import (
 
 from toile.atomic_file import write_text
 from toile.errors import InputError
+from toile.physics.surrogate.surrogate import STEP
 from toile.physics.surrogate.weights import describe_weights, load_weights, packaged_weights
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -116,7 +117,12 @@ class Measurements:
         self.weights, self.passes, self.extent = weights, passes, extent
         self.records, self.cache = records, cache
         self.contenders = contenders(weights, passes)
-        self.about = {"weights": weights.name, "sha256": fingerprint(weights), "passes": passes}
+        self.about = {
+            "weights": weights.name,
+            "sha256": fingerprint(weights),
+            "step": STEP,
+            "passes": passes,
+        }
 
     def accuracy(self) -> None:
         """One table per regime."""
@@ -169,7 +175,8 @@ class Measurements:
         """One table per size of the batch."""
         e = self.extent
         # How long a pass takes hangs on the network's size alone.
-        about = {"widths": list(load_weights(self.weights).network.widths), "passes": self.passes}
+        widths = list(load_weights(self.weights).network.widths)
+        about = {"widths": widths, "step": STEP, "passes": self.passes}
         for size in e.batches:
             self.records.measure(
                 f"speed_{size}",

@@ -41,6 +41,7 @@ from surrogate.stability import REST, StabilitySettings
 
 from toile.atomic_file import write_text
 from toile.errors import InputError
+from toile.physics.surrogate.surrogate import STEP
 from toile.physics.surrogate.weights import (
     describe_weights,
     load_weights,
@@ -67,7 +68,7 @@ def measured(
     """Measure what is missing, and make the page of it."""
     before = packaged_weights()
     candidates = {BEFORE: before} | {path.stem: path for path in sorted((folder / "epochs").glob("*.pt"))}
-    about = {"before": fingerprint(before), **asdict(extent)}
+    about = {"before": fingerprint(before), "step": STEP, **asdict(extent)}
     prints = {name: fingerprint(path) for name, path in candidates.items()}
     records.measure(
         "further_choice", {**about, "candidates": prints}, lambda: choice(candidates, extent, cache)

@@ -43,6 +43,7 @@ from surrogate.tradeoff import (
 
 from toile.atomic_file import write_text
 from toile.errors import InputError
+from toile.physics.surrogate.surrogate import STEP
 from toile.physics.surrogate.weights import describe_weights, load_weights, packaged_weights
 from toile.reports.figures import STYLE
 from toile.reports.palette import INK, SERIES
@@ -61,9 +62,10 @@ PART_TIMES, PART_ERRORS = "tradeoff_times", "tradeoff_errors"
 
 def measured(records: Records, weights: Path, settings: TradeoffSettings) -> tuple[pd.DataFrame, str]:
     """Times and errors in one table, and how they were made."""
-    about = {"weights": weights.name, "sha256": fingerprint(weights), **asdict(settings)}
+    about = {"weights": weights.name, "sha256": fingerprint(weights), "step": STEP, **asdict(settings)}
     # How long a pass takes hangs on the network's size alone.
-    size_of = {"widths": list(load_weights(weights).network.widths), **asdict(settings)}
+    widths = list(load_weights(weights).network.widths)
+    size_of = {"widths": widths, "step": STEP, **asdict(settings)}
 
     def times() -> pd.DataFrame:
         parts = [tradeoff(weights, size, n, settings) for size in settings.sizes for n in settings.batches]

@@ -12,6 +12,10 @@ from toile.physics.surrogate.descent import Visited, change, descend, lowest_amo
 from toile.physics.surrogate.network import GatedUNet
 from toile.physics.surrogate.problem import StepProblem
 
+STEP = "lowest among its points"
+"""What surrounds the network in a step; renamed where it computes something else, so that what was measured
+with another one is measured again."""
+
 # Eq. 4 is rescaled per sample by its own change, but not below this share of what a step along the local
 # stiffness would gain: a sample that is already solved must not shout.
 _LEAST_SHARE = 0.2
