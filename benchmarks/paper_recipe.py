@@ -8,7 +8,8 @@
 
 One fit after the other. Every finished run leaves a JSON file in outputs/paper_recipe and is not run again;
 an interrupted one goes on from its last checkpoint. Writes docs/results/paper_recipe.csv and paper_recipe.md,
-in which lines stay that have not been run here; ``weights`` says which network a line is of.
+in which lines stay that have not been run here; ``weights`` says which network a line is of, and which step
+surrounds it.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from results import ROOT, machine, markdown, mean_of, toile
 from surrogate.records import fingerprint
 
 from toile import evaluate
+from toile.physics.surrogate.surrogate import STEP
 from toile.physics.surrogate.weights import packaged_weights
 
 BASE = ("scene=R1", "experiment=paper")
@@ -192,7 +194,7 @@ def numbers(case: Case, seed: int, folder: Path) -> dict[str, Any]:
         "cycles": int(last["cycle"]) + 1,
         "updates halved": log.read_text().count("the last update was") if log.exists() else 0,
         "overrides": " ".join(case.overrides),
-        "weights": fingerprint(packaged_weights()) if NETWORK in case.overrides else "",
+        "weights": f"{fingerprint(packaged_weights())}, {STEP}" if NETWORK in case.overrides else "",
         "run": str(folder.relative_to(ROOT)),
     }
 

@@ -96,7 +96,7 @@ _TRUSTED = 0.5
 """Share of what is promised from which on steps may be longer again."""
 
 _ROOM = 1e-12
-"""Between the bounds of a coefficient that is at one of them; clipped afterwards."""
+"""Between the bounds of a coefficient that is at one of them, and below those of the law in logarithms."""
 
 
 @dataclass(frozen=True)
@@ -299,7 +299,9 @@ class JointFitting:
         self.clips, self.start, self.settings = list(clips), start, settings
         self.usual = tuple(usual)
         self.size = settings.size
-        self._values = values
+        parameters = self.clips[0].shooting.simulator.cloth.energies.parameters
+        self._highest = np.log([p.upper for p in parameters] / start) - _ROOM
+        self._values = np.minimum(values, self._highest)
         self._devices = [clip.device for clip in clips]
 
     def start_fit(self, workers: Workers = ALONE) -> JointFit:
@@ -609,6 +611,11 @@ class JointFitting:
     def _reach(self, layout: SharedLayout, place: JointFit) -> tuple[Array, Array]:
         """By how much every shared unknown may change at least and at most."""
         longest = self._longest(layout)
+        farthest = longest.copy()
+        # Beyond its bound a ratio counts as that: no derivative, nothing to hold it there, and a cliff where
+        # the prior pulls it back.
+        n = layout.n_material
+        farthest[:n] = np.clip(self._highest - place.values[:n], 0.0, longest[:n])
         low, high = np.full(layout.n_coefficients, -np.inf), np.full(layout.n_coefficients, np.inf)
         for clip in range(len(self.clips)):
             for effect, places in zip(layout.effects, layout.coefficients(clip), strict=True):
@@ -618,7 +625,7 @@ class JointFitting:
         # At its bound a coefficient still needs some room, however little.
         return (
             np.concatenate((-longest, np.minimum(low - own, -_ROOM))),
-            np.concatenate((longest, np.maximum(high - own, _ROOM))),
+            np.concatenate((farthest, np.maximum(high - own, _ROOM))),
         )
 
     def _scale(self, layout: SharedLayout) -> Array:

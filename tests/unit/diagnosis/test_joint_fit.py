@@ -26,10 +26,12 @@ from toile.diagnosis.tracked import Tracked
 from toile.effects.base import Effect, Scope, Surroundings
 from toile.effects.catalogue import CATALOGUE, OUTSIDE
 from toile.effects.setting import setting
-from toile.physics.cloth import grid_cloth, grid_material
+from toile.physics.cloth import grid_cloth
+from toile.physics.grid_laws import GridLaw, angles, taut_fitted
 from toile.physics.implicit.integrators import BDF2
 from toile.physics.implicit.newton import NewtonSettings
 from toile.physics.implicit.simulator import ImplicitSimulator
+from toile.physics.material import Material
 from toile.physics.rollout import rollout
 from toile.physics.state import State
 
@@ -42,9 +44,14 @@ WINDS = ((0.0, 0.5), (0.6, -0.4))
 DRAG = 1.2  # 1/s, linear
 
 
-def clip(wind: tuple[float, float], effects: tuple[Effect, ...]) -> tuple[Shooting, Surroundings]:
+def clip(
+    wind: tuple[float, float],
+    effects: tuple[Effect, ...],
+    law: GridLaw | None = None,
+    material: np.ndarray = STIFFNESS,
+) -> tuple[Shooting, Surroundings]:
     """A cloth that swings down in a wind; its motion is known."""
-    cloth = grid_cloth(GRID, (0.3, 0.3), 0.15, (0, (GRID[0] - 1) * GRID[1]))
+    cloth = grid_cloth(GRID, (0.3, 0.3), 0.15, (0, (GRID[0] - 1) * GRID[1]), law=law or angles)
     around = Surroundings(cloth, (0.3, 0.3), torch.from_numpy(GRAVITY), FPS, FRAMES)
     i, j = torch.meshgrid(torch.arange(GRID[0]), torch.arange(GRID[1]), indexing="ij")
     depth = 1 + 0.5 * j * 0.06 + 0.01 * torch.sin(1.1 * i)
@@ -54,12 +61,10 @@ def clip(wind: tuple[float, float], effects: tuple[Effect, ...]) -> tuple[Shooti
     h = 1 / FPS / SUBSTEPS
     true_h = float(given.frame_interval) / SUBSTEPS
     real = ImplicitSimulator(given.cloth, true_h, BDF2(), NewtonSettings(1e-8), given.terms)
-    k = torch.from_numpy(STIFFNESS)[:, None]
+    numbers = Material(cloth.energies.parameters, torch.from_numpy(material)[None])
     state = State.start(start, torch.zeros_like(start), true_h, real.n_past)
     with torch.no_grad():
-        motion = rollout(
-            real, state, grid_material(k[0], k[1], k[2]), given.forces[None], given.boundary[None], SUBSTEPS
-        )
+        motion = rollout(real, state, numbers, given.forces[None], given.boundary[None], SUBSTEPS)
     positions = motion.positions[0].numpy()
     n = 3 * positions.shape[1]
     seen = [np.eye(n, dtype=np.float32) / 0.002**2] * FRAMES
@@ -189,6 +194,22 @@ class TestFits:
         start = loose.start_fit()
         bought = loose.fitted((), start).misfit - loose.fitted((drag(0.0),), start).misfit
         assert bought < 0.3 * (dragged.base.misfit - dragged.drag.misfit)
+
+
+def test_ratios_of_the_law_stay_within_their_bounds() -> None:
+    """Beyond 1 a ratio counts as 1: images say nothing there, and the prior would pull it over a cliff."""
+    whole = np.array([STIFFNESS[0], 1.0, STIFFNESS[1], 1.0, STIFFNESS[2]])
+    clips = [joint_clip(*clip(WINDS[0], (), taut_fitted, whole), FRAMES)]
+    begin = whole * (1.2, 0.5, 1.2, 0.5, 1.2)
+    fitting = JointFitting(clips, begin, np.array([0.0, 0.0, 0.0, 3.0, 0.0]))
+    start = fitting.start_fit()
+    highest = np.array([np.inf, np.log(2), np.inf, np.log(2), np.inf])
+    assert start.values[3] == pytest.approx(np.log(2))
+    found = fitting.fitted((), start)
+    assert found.converged
+    assert (found.values[:5] <= highest).all()
+    assert begin[3] * np.exp(found.values[3]) == pytest.approx(1.0, abs=0.1)
+    assert len(found.history) <= 9
 
 
 class TestWrongClock:

@@ -36,7 +36,7 @@ def spring_energies(positions: Tensor, ends: Tensor, rest_lengths: Tensor) -> tu
 def _with_compression(values: Tensor) -> Tensor:
     """Stiffnesses (..., 2) in tension and in compression from (..., 2) that in tension and the ratio.
 
-    A ratio beyond 1 counts as 1: Gauss-Newton in logarithms knows no bounds.
+    A ratio beyond 1 counts as 1: not every Gauss-Newton in logarithms knows bounds.
     """
     stiffness, ratio = values.unbind(-1)
     return torch.stack((stiffness, stiffness * ratio.clamp(max=1.0)), -1)
