@@ -49,7 +49,7 @@ class Pass:
 
 
 class Surrogate(nn.Module):
-    """The network and what surrounds it in a step: choice of the start, line relaxation, acceptance.
+    """The network and what surrounds it in a step: start, line relaxation, acceptance, the lowest point.
 
     Args:
         widths: see GatedUNet.
