@@ -99,8 +99,8 @@ class BehindTheSweeps(Objective):
 
     The gradient goes through the sweeps and the lowest point after them, step lengths included. Through the
     passes before, and through the time steps before, it goes once several steps are unrolled. It is the
-    gradient of what the positions do to Eq. 4, not of what earlier positions do to later problems: it vanishes
-    where every step is exact.
+    gradient of what the positions do to Eq. 4, not of what earlier positions do to later problems: it
+    vanishes where every step is exact.
 
     Args:
         sweeps: relaxations of the warp and weft lines behind each pass.
