@@ -86,17 +86,23 @@ def lowest_among(problem: StepProblem, visited: Visited) -> Visited:
         visited: at least two points.
     """
     x, r = visited.last
-    free = problem.free[..., None]
-    displacements = torch.stack([((p - x) * free).double().flatten(1) for p in visited.points[:-1]], 1)
-    changes = torch.stack([(r - f).double().flatten(1) for f in visited.forces[:-1]], 1)
-    size = displacements.detach().norm(dim=2, keepdim=True)
-    usable = torch.isfinite(size) & (size > _CLOSEST) & torch.isfinite(changes).all(2, keepdim=True)
-    scale = torch.where(usable, 1.0 / torch.where(usable, size, 1.0), 0.0)
-    displacements, changes = (torch.where(usable, t, 0.0) * scale for t in (displacements, changes))
+    # Pinned vertices are the same in all points.
+    displacements = torch.stack([(p - x).flatten(1) for p in visited.points[:-1]], 1)
+    changes = torch.stack([(r - f).flatten(1) for f in visited.forces[:-1]], 1).double()
     curvature = displacements @ changes.transpose(1, 2)
-    curvature = 0.5 * (curvature + curvature.transpose(1, 2))
-    slope = displacements @ torch.nan_to_num(r.double()).flatten(1)[..., None]
-    step = (_lowest(curvature, slope) * displacements).sum(1).view_as(x)
+    slope = displacements @ r.flatten(1)[..., None].double()
+    size = torch.linalg.vector_norm(displacements.detach(), dim=2)
+    own = curvature.diagonal(dim1=1, dim2=2)
+    usable = torch.isfinite(size) & (size > _CLOSEST) & torch.isfinite(own) & torch.isfinite(slope[..., 0])
+    if not bool(usable.all()):
+        # Not finite times zero is not zero.
+        displacements = torch.where(usable[..., None], displacements, 0.0)
+        curvature = torch.where(usable[..., None] & usable[:, None, :], curvature, 0.0)
+        slope = torch.where(usable[..., None], slope, 0.0)
+    scale = torch.where(usable, 1.0 / size, 0.0)[..., None]
+    curvature = scale * (0.5 * (curvature + curvature.transpose(1, 2))) * scale.transpose(1, 2)
+    along = scale * _lowest(curvature, scale * slope)
+    step = (along.transpose(1, 2) @ displacements).view_as(x)
     trial = x + step
     force = problem.residual(trial)
     lower = wide(change(step, r, force) <= 0)
