@@ -23,7 +23,6 @@ from toile.cli.resume import check_settings_as_before
 from toile.cli.scene_warnings import scene_warnings
 from toile.cli.settings import check_settings
 from toile.cli.terminal import print_path
-from toile.denormals import denormals_flushed
 from toile.diagnosis.diagnose import diagnose
 from toile.diagnosis.made_with import MadeWith
 from toile.diagnosis.problem import DiagnosisProblem, check_problem
@@ -105,8 +104,7 @@ def finished_diagnosis(
     write_overrides(folder, HydraConfig.get().overrides.task)
     write_git_revision(folder)
     try:
-        with denormals_flushed():
-            report = problem.diagnosed(folder.path, progress)
+        report = problem.diagnosed(folder.path, progress)
     except KeyboardInterrupt:
         print_path(f"toile diagnose resume={folder.path}", " continues")
         raise
@@ -162,8 +160,7 @@ def _diagnose_alone(recording: tuple[str, ...], output_folder: Path, settings: A
             cfg = compose("diagnose", overrides)
     check_settings(cfg)
     output_folder.mkdir(parents=True, exist_ok=True)
-    with denormals_flushed():
-        _problem(cfg).diagnosed(output_folder, lambda what, share: None)
+    _problem(cfg).diagnosed(output_folder, lambda what, share: None)
 
 
 def check_settings_are_used(cfg: DictConfig) -> None:

@@ -6,6 +6,7 @@ import logging
 from collections.abc import Sequence
 from pathlib import Path
 
+from toile.denormals import denormals_flushed
 from toile.diagnosis.answer import weighed
 from toile.diagnosis.arrays import write_arrays
 from toile.diagnosis.decision import Calibration
@@ -28,6 +29,7 @@ from toile.workers import ALONE, Workers
 _log = logging.getLogger(__name__)
 
 
+@denormals_flushed()
 def diagnose(
     reconstruction: Reconstruction,
     recipe: TrackingRecipe,

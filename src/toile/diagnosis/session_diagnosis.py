@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toile.atomic_file import written_atomically
+from toile.denormals import denormals_flushed
 from toile.diagnosis.arrays import FRAMES_FILE, VERTICES_FILE
 from toile.diagnosis.decision import UNKNOWN, Calibration
 from toile.diagnosis.effect_evidence import EffectEvidence
@@ -97,6 +98,7 @@ class _Found:
     displacements: dict[str, Displacement]
 
 
+@denormals_flushed()
 def diagnose_session(
     problems: Sequence[DiagnosisProblem],
     session: Session,

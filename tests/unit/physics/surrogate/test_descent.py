@@ -47,16 +47,16 @@ def test_no_force_is_left_in_the_span_of_a_quadratic():
     assert torch.equal(r, problem.residual(x))
 
 
-def test_more_points_than_dimensions_find_the_lowest_of_all():
+def test_between_two_points_it_is_the_foot_of_the_line():
+    """All curvatures alike: the lowest point of a line is the one nearest to the lowest of all."""
     problem = quadratic(torch.full((2, 4, 4, 3), 2.0, dtype=torch.float64))
-    x, r = lowest_among(problem, points(problem, 2)).last
-    # All curvatures alike: steepest descent is exact, and the line through two points holds its foot.
-    first, second = points(problem, 2).points
+    visited = points(problem, 2)
+    first, second = visited.points
+    x, _ = lowest_among(problem, visited).last
     free = problem.free[..., None]
-    expected = -dot((first - second) * free, second * free) / dot(first - second, first - second)
-    found = dot((first - second) * free, (x - second) * free) / dot(first - second, first - second)
-    torch.testing.assert_close(found, expected)
-    assert dot(r, r).le(dot(problem.residual(second), problem.residual(second))).all()
+    along = (first - second) * free
+    share = -dot(along, second * free) / dot(along, along)
+    torch.testing.assert_close(x, second + share[:, None, None, None] * along)
 
 
 def test_directions_along_which_it_bends_down_are_left_out():
