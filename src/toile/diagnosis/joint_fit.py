@@ -54,6 +54,8 @@ class JointFitSettings:
         nothing: nats beside it; the last pass as well is one whose quadratic promises no more.
         kept: share of what the quadratic promises that a step must keep; one that keeps less is damped more.
         longest_wind: change of a wind in one pass at most [m/s²].
+        chords: further steps of a pass with the same tangents, at most.
+        worth: share of the first step's gain below which such a step is the last one.
         prior_inflation: factor on the prior deviations of an effect's coefficients: those say how large one
             usually is, not how large it can be.
         few: coefficients of an effect that hardly need a prior.
@@ -68,6 +70,8 @@ class JointFitSettings:
     nothing: NonNegative = 1.0
     kept: Fraction = 0.1
     longest_wind: Annotated[Positive, Unit("m/s²")] = 2.0
+    chords: CountOrZero = 4
+    worth: Fraction = 0.1
     prior_inflation: Positive = 3.0
     few: CountOrZero = 3
     few_inflation: Positive = 10.0
@@ -352,6 +356,7 @@ class JointFitting:
                 # Nothing to gain, or nowhere to go: the quadratic does not hold even for short steps.
                 converged = True
                 break
+            moved = self._further(layout, place, moved, evidence, damping, workers)
             gained = place.misfit - moved.misfit
             place = moved
             history.append(place.misfit)
@@ -581,6 +586,10 @@ class JointFitting:
             values = place.values + shared[: layout.n_base]
             coefficients = place.coefficients + shared[layout.n_base :]
             moved = self._moved(layout, place, values, coefficients, joined.locals(shared), workers, evidence)
+            if moved is not None and place.misfit - moved.misfit < settings.kept * promised:
+                # Where the step has left a curved valley, its tangents still lead back to the ground.
+                back = self._chord(layout, place, moved, evidence, damping, workers)
+                moved = back if back is not None and back.misfit < moved.misfit else moved
             if moved is not None and moved.misfit < (place if best is None else best).misfit:
                 best, taken = moved, damping
                 kept = place.misfit - moved.misfit
@@ -591,6 +600,73 @@ class JointFitting:
                 break
             damping = damped.more(damping)
         return best, taken, False
+
+    def _further(
+        self,
+        layout: SharedLayout,
+        place: JointFit,
+        moved: JointFit,
+        evidence: Evidence,
+        damping: float,
+        workers: Workers,
+    ) -> JointFit:
+        """Where a step leads that is followed by more with the same tangents, as long as they gain enough.
+
+        A simulation costs a fraction of what new tangents do (Shamanskii 1967, A modification of Newton's
+        method).
+        """
+        first = place.misfit - moved.misfit
+        for _ in range(self.settings.chords):
+            again = self._chord(layout, place, moved, evidence, damping, workers)
+            if again is None:
+                break
+            gained = moved.misfit - again.misfit
+            if gained > 0:
+                moved = again
+            if gained < max(self.settings.worth * first, self.settings.nothing):
+                break
+        return moved
+
+    def _chord(
+        self,
+        layout: SharedLayout,
+        place: JointFit,
+        moved: JointFit,
+        evidence: Evidence,
+        damping: float,
+        workers: Workers,
+    ) -> JointFit | None:
+        """One more step, from where one has led, with the tangents of where that began."""
+        carried = self._carried(layout, place, moved, evidence)
+        joined = Joined(carried.systems, self.size, damping)
+        shared = self._shared_step(layout, moved, joined, damping)
+        values = moved.values + shared[: layout.n_base]
+        coefficients = moved.coefficients + shared[layout.n_base :]
+        return self._moved(layout, moved, values, coefficients, joined.locals(shared), workers, carried)
+
+    def _carried(
+        self, layout: SharedLayout, place: JointFit, moved: JointFit, evidence: Evidence
+    ) -> Evidence:
+        """Evidence around another place, with residuals of there and tangents of where it was made."""
+        systems: list[WindowSystem] = []
+        n_shared = layout.n_base + layout.n_coefficients
+        at = 0
+        for c, clip in enumerate(self.clips):
+            columns = layout.columns(c)
+            for k, window in enumerate(moved.windows[c]):
+                system = evidence.systems[at]
+                at += 1
+                assert system.motion is not None
+                own = clip.shooting.image_gradient(window, system.motion)
+                gradient = np.zeros_like(system.gradient)
+                gradient[columns], gradient[n_shared:] = own[: len(columns)], own[len(columns) :]
+                link = system.link
+                if link is not None:
+                    link = replace(link, jump=clip.shooting.jump(moved.windows[c][k - 1], window))
+                systems.append(
+                    replace(system, gradient=gradient, standardised=window.standardised, link=link)
+                )
+        return Evidence(systems, moved.values, self._deviations(layout), coefficients=moved.coefficients)
 
     def _shared_step(self, layout: SharedLayout, place: JointFit, joined: Joined, damping: float) -> Array:
         """Change of the shared unknowns to the minimum of the quadratic within their bounds."""

@@ -177,7 +177,7 @@ class KnownMotion:
         self._scene = SceneTerms()
         # The dense blocks that many right-hand sides are solved with are made of a band.
         self._solver = BandedSolver(simulator.assembly.pattern, simulator.assembly.pinned)
-        self._past_forces = PastForces(terms, grid) if terms and grid is not None else None
+        self._past_forces = PastForces(terms, simulator.cloth) if terms and grid is not None else None
         if terms and grid is None:
             raise ValueError("tangents with step terms: expected a cloth on a grid")
 

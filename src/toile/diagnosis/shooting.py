@@ -455,6 +455,20 @@ class Shooting:
             (modes @ positions / s.jump_position, modes @ velocities / s.jump_velocity)
         ).astype(np.float64)
 
+    def image_gradient(self, window: WindowMotion, motion: NDArray[np.float32]) -> Array:
+        """Gradient of the image term for given tangents, by [shared | local] like that of ``normal``.
+
+        Args:
+            window: simulated.
+            motion: change of the positions of every sub-step (S + 1, 3N, n) [m].
+        """
+        g = np.zeros(motion.shape[-1])
+        frames = window.positions[:: self.substeps]
+        for i in range(self._first_counted(window), len(frames)):
+            J = motion[i * self.substeps]
+            g += J.T @ self.tracked.slope(window.first + i, frames[i]).astype(np.float32)
+        return self.weight * g
+
     @denormals_flushed()
     def normal(
         self,

@@ -23,6 +23,7 @@ class StrainStiffening(ElementEffect):
     NAME: ClassVar[str] = "strain_stiffening"
     STAGE: ClassVar[Stage] = Stage.MECHANICS
     past_reach: ClassVar[int] = 1
+    own_past: ClassVar[bool] = True
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
         Parameter("stretching", "1", 0.0, 1e5, 500.0, "a: the stiffness doubles at a strain of 1 / √a"),
         Parameter("shearing", "1/rad²", 0.0, 1e3, 10.0, "b: the stiffness doubles at an angle of 1 / √b"),

@@ -108,12 +108,14 @@ class ElementTerm(ABC):
 
     Attributes:
         past_reach: see VertexTerm.
+        own_past: whether what happened before a step changes every element through its own vertices alone.
         values: numbers inside the term (n,) that derivatives are taken by.
         tensions: that the term gives to edges which are as long as in the cloth's rest shape (E,) [N]; all
             terms know of them, see Elements.
     """
 
     past_reach: ClassVar[int] = 2
+    own_past: ClassVar[bool] = False
     values: Tensor = torch.zeros(0, dtype=torch.float64)
     tensions: Tensor | None = None
 

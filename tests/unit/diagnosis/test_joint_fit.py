@@ -34,6 +34,7 @@ from toile.physics.implicit.simulator import ImplicitSimulator
 from toile.physics.material import Material
 from toile.physics.rollout import rollout
 from toile.physics.state import State
+from toile.workers import ALONE
 
 GRID = (6, 6)
 FRAMES, FPS, SUBSTEPS = 13, 25.0, 4
@@ -179,14 +180,48 @@ class TestFits:
         def disappointing(self: JointFitting, layout, place, values, coefficients, *rest):
             found = really(self, layout, place, values, coefficients, *rest)
             steps.append(float(np.linalg.norm(values - place.values)))
-            # The first full step ends on a ledge just below where it began.
-            return replace(place, misfit=place.misfit - 1e-3) if len(steps) == 1 else found
+            # The first full step, and the one back from there, end on a ledge just below where they began.
+            return replace(place, misfit=place.misfit - 1e-3) if len(steps) <= 2 else found
 
         monkeypatch.setattr(JointFitting, "_moved", disappointing)
         other = fitting.fitted((drag(0.0),), dragged.base)
-        assert steps[1] < steps[0]
+        assert steps[2] < steps[0]
         assert other.misfit == pytest.approx(whole.misfit, abs=2.0)
         assert dragged.base.misfit - other.misfit > 10
+
+    def test_tangents_carried_nowhere_are_those_of_the_place(self, dragged: Problem) -> None:
+        fitting, fit = dragged.fitting, dragged.drag
+        layout = fitting.layout((drag(0.0),))
+        here = fitting._evidence(layout, fit, ALONE)
+        carried = fitting._carried(layout, fit, fit, here)
+        for before, after in zip(here.systems, carried.systems, strict=True):
+            size = np.abs(before.gradient).max()
+            assert after.gradient == pytest.approx(before.gradient, abs=1e-4 * size)
+            assert (after.link is None) == (before.link is None)
+            if before.link is not None and after.link is not None:
+                assert np.array_equal(after.link.jump, before.link.jump)
+
+    def test_more_steps_with_the_same_tangents_need_fewer_of_them(
+        self, damped: tuple[JointFitting, JointFit, JointFit], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """They end where fits without them do."""
+        usual, plain, _ = damped
+        made: list[int] = []
+        really = JointFitting._evidence
+        monkeypatch.setattr(
+            JointFitting,
+            "_evidence",
+            lambda self, *args, **more: made.append(1) or really(self, *args, **more),
+        )
+        found, needed = [], []
+        for chords in (0, usual.settings.chords):
+            settings = replace(usual.settings, chords=chords)
+            fitting = JointFitting(usual.clips, usual.start, np.zeros(3), settings, usual.usual)
+            made.clear()
+            found.append(fitting.fitted(fitting.usual, plain).misfit)
+            needed.append(len(made))
+        assert needed[1] < needed[0]
+        assert found[1] == pytest.approx(found[0], abs=1.0)
 
     def test_a_free_force_buys_what_the_effect_explains(self, dragged: Problem) -> None:
         clips = [joint_clip(*clip(WINDS[0], (drag(DRAG),)), FRAMES, forces=True)]

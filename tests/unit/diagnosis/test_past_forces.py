@@ -20,8 +20,18 @@ GRID = (7, 8)
 WITH_PAST = [n for n, kind in CATALOGUE.items() if issubclass(kind, VertexEffect | ElementEffect)]
 
 
-@pytest.mark.parametrize("name", WITH_PAST)
-def test_few_adjoints_give_the_whole_derivative(name: str) -> None:
+OWN_PAST = [n for n in WITH_PAST if getattr(CATALOGUE[n], "own_past", False)]
+
+
+@pytest.mark.parametrize(
+    ("name", "own_past"), [(n, n in OWN_PAST) for n in WITH_PAST] + [(n, False) for n in OWN_PAST]
+)
+def test_few_adjoints_give_the_whole_derivative(
+    name: str, own_past: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Element by element where the past of an element is its own, and vertex by vertex."""
+    if name in OWN_PAST:
+        monkeypatch.setattr(CATALOGUE[name], "own_past", own_past)
     cloth = grid_cloth(GRID, (0.3, 0.35), 0.15, (0, GRID[1] - 1))
     rng = np.random.default_rng(3)
     i, j = np.meshgrid(np.arange(GRID[0]), np.arange(GRID[1]), indexing="ij")
@@ -39,7 +49,7 @@ def test_few_adjoints_give_the_whole_derivative(name: str) -> None:
     speed = torch.from_numpy(rng.standard_normal(flat.shape))
     material = grid_material(400.0 * one, 2e-3 * one, 1e-4 * one)
     now = StepContext(cloth, material, before, speed, 0.1, 0.01, before[cloth.pinned])
-    past = PastForces(terms, GRID)
+    past = PastForces(terms, cloth)
     moved = rng.standard_normal((before.numel(), 4)).astype(np.float32)
     faster = rng.standard_normal((before.numel(), 4)).astype(np.float32)
     found = past.change(now, after.numpy(), moved, faster)
