@@ -25,6 +25,7 @@ from hydra import compose, initialize_config_dir
 from toile.atomic_file import write_text
 from toile.cli.configuration import CONF, register_resolvers
 from toile.cli.diagnose import session_problem
+from toile.denormals import denormals_flushed
 from toile.diagnosis.decision import NONE
 from toile.diagnosis.effect_evidence import EffectEvidence
 from toile.diagnosis.effect_sensitivities import FORCES
@@ -126,6 +127,7 @@ def made(session: str, within: Path = FOLDER, plans: tuple[ClipPlan, ...] = DEFA
     return folder
 
 
+@denormals_flushed()
 def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
     """Every hypothesis on one rung."""
     with initialize_config_dir(str(CONF), version_base=None):
@@ -330,6 +332,9 @@ def main() -> None:
     given = parser.parse_args()
     torch.set_num_threads(1)
     register_resolvers()
+    # The first clip is the same, whether others follow or not.
+    alone = all("one clip" in rung for rung in given.rungs)
+    plans = DEFAULT_CLIPS[:1] if alone else DEFAULT_CLIPS
     rows: list[dict[str, object]] = []
     for session in given.sessions:
         for rung in given.rungs:
@@ -337,7 +342,7 @@ def main() -> None:
             if not kept.is_file():
                 if given.known:
                     continue
-                folder = made(session)
+                folder = made(session, plans=plans)
                 write_text(kept, json.dumps(fitted(folder, rung, FOLDER / f"{folder.name}_run")))
             rows += json.loads(kept.read_text())
             print(
