@@ -58,6 +58,7 @@ from toile.generation.out_of_family.base_scene import OutOfFamilySettings
 from toile.generation.out_of_family.from_blender import make_clips_with_blender
 from toile.generation.out_of_family.session_set import write_opaque_session
 from toile.generation.out_of_family.sessions import SessionRequest, make_session
+from toile.reports.run_folder import current_git_revision
 from toile.workers import ALONE
 
 FOLDER = Path("outputs") / "session_ladder"
@@ -191,6 +192,7 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
             {
                 "session": folder.name,
                 "rung": rung,
+                "revision": current_git_revision() or "",
                 "position error [% of the width]": error / width,
                 "seconds": seconds,
                 "plain misfit": plain.misfit,
@@ -210,6 +212,7 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
                 "fitted size": found.fitted_size,
                 "learned": learned.get(effect.NAME, float("nan")),
                 "nats from outside": None if outside is None else outside.evidence.nats(),
+                **({} if outside is None else _columns_of_outside(outside.evidence)),
                 "passes": len(fit.history) - len(base.history),
                 "CPU [s]": time.process_time() - began,
             }
@@ -225,6 +228,15 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
     for row in rows:
         row |= {"probability": said[str(row["effect"])], "probability of none": said[NONE], **shrink}
     return rows
+
+
+def _columns_of_outside(one: EffectEvidence) -> dict[str, object]:
+    return {
+        "outside drop": one.drop,
+        "outside information": " ".join(f"{value:.5g}" for value in one.information),
+        "outside slopes": " ".join(f"{value:.5g}" for value in one.slopes),
+        "outside fitted size": one.fitted_size,
+    }
 
 
 def _shrink(
@@ -294,6 +306,7 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
             {
                 "rung": rung,
                 "session": session,
+                "revision": str(own["revision"].iloc[0])[:7] if "revision" in own else "",
                 "truth": truth,
                 "position error [%]": own["position error [% of the width]"].iloc[0],
                 "leads": best["effect"],
@@ -348,9 +361,22 @@ def main() -> None:
             print(
                 summary(pd.DataFrame(rows)).tail(1).to_string(index=False, header=len(rows) < 12), flush=True
             )
-    table = pd.DataFrame(sorted(rows, key=lambda row: given.rungs.index(row["rung"])))
-    table.to_csv(given.output.with_name("session_evidence.csv"), index=False, float_format="%.5g")
+    evidence = given.output.with_name("session_evidence.csv")
+    table = _with_lines_before(pd.DataFrame(rows), evidence)
+    write_text(evidence, table.to_csv(index=False, float_format="%.5g"))
     write_text(given.output, page(table))
+
+
+def _with_lines_before(new: pd.DataFrame, path: Path) -> pd.DataFrame:
+    """Sorted by rungs; sessions that have not been run on this machine keep the lines that are there."""
+    if path.is_file():
+        before = pd.read_csv(path)
+        mine = pd.MultiIndex.from_frame(new[["session", "rung"]])
+        theirs = pd.MultiIndex.from_frame(before[["session", "rung"]])
+        new = pd.concat([new, before[~theirs.isin(mine)]], ignore_index=True)
+    order = {rung: k for k, rung in enumerate(RUNGS)}
+    ranked = new["rung"].map(lambda rung: order.get(rung, len(order)))
+    return new.iloc[np.argsort(ranked.to_numpy(), kind="stable")]
 
 
 def _share(sessions: pd.DataFrame, column: str, least: float) -> pd.Series:

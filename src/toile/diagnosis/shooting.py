@@ -11,7 +11,7 @@ import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain, pairwise
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import torch
@@ -348,6 +348,7 @@ class Shooting:
         base: Base,
         effects: Sequence[Effect] = (),
         around: Surroundings | None = None,
+        given: ChangedSimulation | None = None,
     ) -> WindowMotion:
         """The same window with other unknowns, simulated.
 
@@ -357,6 +358,7 @@ class Shooting:
             base: stiffness and wind.
             effects: in the model.
             around: the whole clip; needed with effects.
+            given: what they change, for several windows; None: found here.
         """
         state, boundary, force = self.local(window, standardised)
         wind = base.wind @ self.horizontal
@@ -367,7 +369,9 @@ class Shooting:
         pinned = torch.from_numpy(boundary)
         if effects:
             assert around is not None
-            simulator, cloth, total, moved = changed_simulation(self, effects, around, torch.from_numpy(wind))
+            if given is None:
+                given = changed_simulation(self, effects, around, torch.from_numpy(wind))
+            simulator, cloth, total, moved = given
             forces = total[window.first : window.last] + cloth.masses[:, None] * torch.from_numpy(
                 self.push + force
             )
@@ -563,11 +567,27 @@ class Shooting:
         return self.weight * G, self.weight * g, self._in_jumps(positions, slower * velocities)
 
 
+class ChangedSimulation(NamedTuple):
+    """What effects change about a clip.
+
+    Attributes:
+        simulator: with their step terms, masses and time step.
+        cloth: with their masses.
+        forces: (F-1, N, 3) [N].
+        boundary: pinned positions (F, n_pinned, 3) [m].
+    """
+
+    simulator: ImplicitSimulator
+    cloth: Cloth
+    forces: torch.Tensor
+    boundary: torch.Tensor
+
+
 @torch.no_grad()
 def changed_simulation(
     shooting: Shooting, effects: Sequence[Effect], around: Surroundings, wind: torch.Tensor
-) -> tuple[ImplicitSimulator, Cloth, torch.Tensor, torch.Tensor]:
-    """Simulator, cloth, forces (F-1, N, 3) [N] and pinned positions (F, n_pinned, 3) [m] with effects.
+) -> ChangedSimulation:
+    """A clip with effects.
 
     Args:
         shooting: the problem without them.
@@ -581,4 +601,4 @@ def changed_simulation(
     assert isinstance(nominal, ImplicitSimulator)
     step = float(given.frame_interval) / shooting.substeps
     simulator = ImplicitSimulator(given.cloth, step, BDF2(), nominal.newton, (*given.terms, *nominal.terms))
-    return simulator, given.cloth, given.forces, given.boundary
+    return ChangedSimulation(simulator, given.cloth, given.forces, given.boundary)
