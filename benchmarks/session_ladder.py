@@ -387,7 +387,13 @@ def _share(sessions: pd.DataFrame, column: str, least: float) -> pd.Series:
 
 def page(table: pd.DataFrame) -> str:
     """Both tables in words."""
-    lines = ["# Ladder of a diagnosis of several clips", "", "Made by `make session-ladder`.", ""]
+    lines = [
+        "# Ladder of a diagnosis of several clips",
+        "",
+        "Made by `make session-ladder`. Lines are of the revision that they name; what has not been run "
+        "since keeps its line.",
+        "",
+    ]
     sessions = summary(table)
     moved = sessions.loc[~sessions["truth"].isin((*WITHOUT_TRACE, "none"))]
     still = sessions.loc[sessions["truth"] == "none"]
@@ -413,8 +419,15 @@ def page(table: pd.DataFrame) -> str:
             "largest gain of a null [nats]": still.groupby("rung", sort=False)["its gain [nats]"].max(),
         }
     )
-    counts = counts.astype(object).where(counts.notna(), "–")
-    lines += [counts.rename_axis("rung").reset_index().to_markdown(index=False, floatfmt=".1f"), ""]
+    of_nats = [name for name in counts if "median" in name or "nats" in name]
+    counts = counts.reindex([rung for rung in RUNGS if rung in counts.index])
+    for name in counts:
+        show = "{:.1f}" if name in of_nats else "{:.0f}"
+        counts[name] = [
+            "–" if pd.isna(value) else value if isinstance(value, str) else show.format(value)
+            for value in counts[name]
+        ]
+    lines += [counts.rename_axis("rung").reset_index().to_markdown(index=False), ""]
     lines += [
         f"Without {' and '.join(WITHOUT_TRACE)}: the former is a wind, the latter is seen in images. "
         "Damping, which the base model has where a clip shows it, counts as an effect only where it is the "
