@@ -10,7 +10,7 @@ from pydantic import Field
 
 from toile.diagnosis.joint_fit import JointFitSettings
 from toile.diagnosis.softened import ModelError
-from toile.limits import Count, CountOrZero, Fraction, Positive, Seed, Unit
+from toile.limits import Count, CountOrZero, Fraction, NonNegative, Positive, Seed, Unit
 from toile.physics.grid_laws import GridLaw, taut_fitted
 
 Usual = Annotated[tuple[Literal["internal_damping"], ...], Field(max_length=1)]
@@ -27,12 +27,14 @@ class RefiningSettings:
     linearisation takes a part of the error away, so many short rounds do more than few long ones.
 
     Attributes:
-        rounds: of fits, each with the image term linearised anew; 0 leaves the tracked motion as it is.
+        rounds: of fits, at most, each with the image term linearised anew; 0 leaves the motion as tracked.
+        steady: rounds end where the motion changes by less than so many of the model's errors.
         passes: of each, at most.
         jumps: factor on the deviations of the jumps.
     """
 
     rounds: CountOrZero = 7
+    steady: NonNegative = 1.0
     passes: Count = 3
     jumps: Positive = 2.5
 

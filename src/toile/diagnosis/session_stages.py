@@ -170,6 +170,9 @@ def refined_motion(
 ) -> RefinedMotion:
     """Refine what tracking has found.
 
+    How wrong the base model is on these clips is found on the way: with errors thought too large, images
+    hardly hold the motion, and every round takes a small part of what is left to them.
+
     Args:
         clips: tracked.
         settings: see SessionSettings.
@@ -186,8 +189,20 @@ def refined_motion(
     )
     for _ in range(s.rounds):
         model = SessionModel(clips, motion, looser, stiffness)
-        motion = model.refined(model.fitting.fitted((), model.fitting.start_fit(workers), workers))
+        fit = model.fitting.fitted((), model.fitting.start_fit(workers), workers)
+        error = model.errors(fit).found
+        # The model may be righter than was thought: then images hold the motion more tightly next time.
+        before, motion = motion, replace(model.refined(fit), error=error)
+        if _change(before, motion) < s.steady * error * model.width:
+            break
     return with_error_found(clips, motion, settings, stiffness, workers)
+
+
+def _change(before: RefinedMotion, after: RefinedMotion) -> float:
+    """Between two motions, root mean square over all vertices and frames [m]."""
+    pairs = zip(before.positions, after.positions, strict=True)
+    squares = [((b - a) ** 2).sum(-1).ravel() for a, b in pairs]
+    return float(np.sqrt(np.concatenate(squares).mean()))
 
 
 def with_error_found(

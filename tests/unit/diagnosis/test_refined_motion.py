@@ -1,0 +1,71 @@
+"""Rounds that refine a tracked motion: by errors as they are found, until it stays where it is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import toile.diagnosis.session_stages as stages
+from toile.diagnosis.session_settings import SessionSettings
+from toile.diagnosis.session_stages import RefinedMotion, refined_motion
+from toile.workers import ALONE
+
+WIDTH = 0.5
+TRUE = np.zeros((4, 9, 3))
+TRACKED = TRUE + 0.02
+SETTINGS = SessionSettings(error_rounds=0)
+
+
+class _Rounds:
+    """A base model that takes the share of the error away that its own errors let images have.
+
+    Args:
+        found: errors of the model, round by round [widths].
+    """
+
+    def __init__(self, found: Sequence[float]) -> None:
+        self.found = list(found)
+        self.thought: list[float | None] = []
+
+    def __call__(self, clips: Any, motion: RefinedMotion, settings: SessionSettings, stiffness: Any) -> Any:
+        self.thought.append(motion.error)
+        kept = 0.7 if motion.error is None or motion.error > 0.001 else 0.1
+        position = TRUE + kept * (motion.positions[0] - TRUE)
+        error = self.found[len(self.thought) - 1]
+        return SimpleNamespace(
+            fitting=SimpleNamespace(start_fit=lambda workers: None, fitted=lambda *given: None),
+            errors=lambda fit: SimpleNamespace(found=error),
+            refined=lambda fit: RefinedMotion([position], None),
+            width=WIDTH,
+        )
+
+
+def rounds(monkeypatch: pytest.MonkeyPatch, found: Sequence[float], settings: SessionSettings) -> Any:
+    model = _Rounds(found)
+    monkeypatch.setattr(stages, "SessionModel", model)
+    clip: Any = SimpleNamespace(tracked=SimpleNamespace(positions=TRACKED), n_frames=len(TRACKED))
+    return model, refined_motion([clip], settings, (850.0, 0.5, 0.005), ALONE)
+
+
+def test_what_the_model_is_wrong_by_is_found_on_the_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    model, motion = rounds(monkeypatch, [0.0012, 0.0006, 0.0005, 0.0005, 0.0005, 0.0005, 0.0005], SETTINGS)
+    assert model.thought[:3] == [None, 0.0012, 0.0006]
+    assert np.abs(motion.positions[0] - TRUE).max() < 0.0005 * WIDTH
+
+
+def test_rounds_end_where_the_motion_changes_by_less_than_the_model_is_wrong_by(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    right, _ = rounds(monkeypatch, [0.0005] * 7, SETTINGS)
+    assert len(right.thought) < 7
+    never = replace(SETTINGS, refining=replace(SETTINGS.refining, steady=0.0))
+    every, _ = rounds(monkeypatch, [0.0005] * 7, never)
+    assert len(every.thought) == 7
+    # A model that is wrong by more than the motion changes cannot make it better.
+    wrong, _ = rounds(monkeypatch, [0.02] * 7, SETTINGS)
+    assert len(wrong.thought) == 2
