@@ -164,6 +164,7 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
     base = base_of_session(plain, usual)
     errors = model.errors(base)
     learned = learned_chances(clips, motion) or {}
+    revision = current_git_revision()
     seconds = sum((clip.n_frames - 1) / clip.problem.scene.fps for clip in clips)
     moving = [effect for effect in effects if isinstance(effect, FORCES)]
     truth_is = cause_of(folder.name)
@@ -192,7 +193,7 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
             {
                 "session": folder.name,
                 "rung": rung,
-                "revision": current_git_revision() or "",
+                "revision": revision,
                 "position error [% of the width]": error / width,
                 "seconds": seconds,
                 "plain misfit": plain.misfit,
@@ -202,17 +203,14 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
                 "expected cost": errors.expected,
                 "share": errors.share,
                 "effect": effect.NAME,
-                "drop": found.drop,
+                **evidence_columns(found),
                 "occam": found.occam,
                 "nats": found.nats(),
                 "nats before it is fitted": before.nats(),
                 "moves the cloth by [% of the width]": 100 * far,
-                "information": " ".join(f"{value:.5g}" for value in found.information),
-                "slopes": " ".join(f"{value:.5g}" for value in found.slopes),
-                "fitted size": found.fitted_size,
                 "learned": learned.get(effect.NAME, float("nan")),
                 "nats from outside": None if outside is None else outside.evidence.nats(),
-                **({} if outside is None else _columns_of_outside(outside.evidence)),
+                **({} if outside is None else evidence_columns(outside.evidence, "outside ")),
                 "passes": len(fit.history) - len(base.history),
                 "CPU [s]": time.process_time() - began,
             }
@@ -230,12 +228,13 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
     return rows
 
 
-def _columns_of_outside(one: EffectEvidence) -> dict[str, object]:
+def evidence_columns(one: EffectEvidence, which: str = "") -> dict[str, object]:
+    """What an effect's evidence is made of, under names that begin with ``which``."""
     return {
-        "outside drop": one.drop,
-        "outside information": " ".join(f"{value:.5g}" for value in one.information),
-        "outside slopes": " ".join(f"{value:.5g}" for value in one.slopes),
-        "outside fitted size": one.fitted_size,
+        f"{which}drop": one.drop,
+        f"{which}information": " ".join(f"{value:.5g}" for value in one.information),
+        f"{which}slopes": " ".join(f"{value:.5g}" for value in one.slopes),
+        f"{which}fitted size": one.fitted_size,
     }
 
 
@@ -306,7 +305,7 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
             {
                 "rung": rung,
                 "session": session,
-                "revision": str(own["revision"].iloc[0])[:7] if "revision" in own else "",
+                "revision": str(own["revision"].iloc[0])[:7],
                 "truth": truth,
                 "position error [%]": own["position error [% of the width]"].iloc[0],
                 "leads": best["effect"],

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from session_ladder import BLENDER, cause_of
+from session_ladder import BLENDER, cause_of, evidence_columns
 
 from toile.atomic_file import write_text
 from toile.diagnosis.decision import NONE
@@ -129,22 +129,13 @@ def _rows(run: Path, session: str, engine: str, cause: str) -> list[dict[str, ob
             "expected cost": evidence.base.expected,
             "share": evidence.base.share,
             "effect": name,
-            **_columns(one, ""),
+            **evidence_columns(one),
             "moves the cloth by [% of the width]": 100 * sizes.get(name, float("nan")),
             "learned": (evidence.learned or {}).get(name, float("nan")),
-            **(_columns(evidence.outside[name], "outside ") if name in evidence.outside else {}),
+            **(evidence_columns(evidence.outside[name], "outside ") if name in evidence.outside else {}),
         }
         for name, one in evidence.effects.items()
     ]
-
-
-def _columns(one: EffectEvidence, which: str) -> dict[str, object]:
-    return {
-        f"{which}drop": one.drop,
-        f"{which}information": " ".join(f"{value:.5g}" for value in one.information),
-        f"{which}slopes": " ".join(f"{value:.5g}" for value in one.slopes),
-        f"{which}fitted size": one.fitted_size,
-    }
 
 
 def _effect(row: pd.Series, which: str = "") -> EffectEvidence:

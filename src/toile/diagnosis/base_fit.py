@@ -14,7 +14,7 @@ from toile.diagnosis.continuity import Discrepancy, Link, WindowSystem
 from toile.diagnosis.evidence import Evidence
 from toile.diagnosis.positive import positive_factor
 from toile.diagnosis.sensitivities import StepForces
-from toile.diagnosis.shooting import Base, ChangedSimulation, Shooting, WindowMotion, changed_simulation
+from toile.diagnosis.shooting import Base, Shooting, WindowMotion
 from toile.effects.base import Effect, Surroundings
 from toile.physics.linearizable import LinearizableSimulator
 from toile.physics.state import State
@@ -281,16 +281,12 @@ def changed_windows(
         around: the whole clip; needed with effects.
         workers: share the windows.
     """
-    given: ChangedSimulation | None = None
-    if effects:
-        assert around is not None
-        wind = torch.from_numpy(base.wind @ shooting.horizontal)
-        given = changed_simulation(shooting, effects, around, wind)
+    given = shooting.with_effects(effects, around, base)
 
     def changed(item: tuple[WindowMotion, Array]) -> WindowMotion:
         window, change = item
         standardised = window.standardised + change / local_scales(shooting, window.last - window.first)
-        return shooting.simulate(window, standardised, base, effects, around, given)
+        return shooting.simulate(window, standardised, base, given)
 
     return list(workers.map(changed, list(zip(windows, changes, strict=True))))
 

@@ -34,11 +34,12 @@ def effect_size(mechanics: Mechanics, model: Refit) -> float:
     shooting = mechanics.shooting
     (effect,) = model.effects
     acting = (acting_with(effect, within_bounds(effect, model.mean)),)
+    given = shooting.with_effects(acting, mechanics.around, model.base)
     away = []
     for window in model.windows:
         without = shooting.simulate(window, window.standardised, model.base)
         try:
-            there = shooting.simulate(window, window.standardised, model.base, acting, mechanics.around)
+            there = shooting.simulate(window, window.standardised, model.base, given)
         except FloatingPointError:
             # So strong that a step blows up here; the refit's own coefficients did not.
             there = window
@@ -103,13 +104,11 @@ def _distances(
 ) -> list[Array] | None:
     """Mean distance of every frame of pieces of so many frames [m]; None where a step fails."""
     shooting = clip.shooting.with_window(frames)
+    models = [shooting.with_effects(acting, clip.around, base) for acting in (usual, effects)]
     away = []
     for window in tracked_windows(shooting, clip.windows[-1].last + 1):
         try:
-            both = [
-                shooting.simulate(window, window.standardised, base, acting, clip.around)
-                for acting in (usual, effects)
-            ]
+            both = [shooting.simulate(window, window.standardised, base, given) for given in models]
         except FloatingPointError:
             return None
         if not all(one.converged for one in both):

@@ -54,7 +54,8 @@ class JointFitSettings:
         nothing: nats beside it; the last pass as well is one whose quadratic promises no more.
         kept: share of what the quadratic promises that a step must keep; one that keeps less is damped more.
         longest_wind: change of a wind in one pass at most [m/s²].
-        chords: further steps of a pass with the same tangents, at most.
+        chords: further steps of a pass with the same tangents, at most; beside the one that leads a step back
+            which keeps too little.
         worth: share of the first step's gain below which such a step is the last one.
         prior_inflation: factor on the prior deviations of an effect's coefficients: those say how large one
             usually is, not how large it can be.
@@ -356,7 +357,8 @@ class JointFitting:
                 # Nothing to gain, or nowhere to go: the quadratic does not hold even for short steps.
                 converged = True
                 break
-            moved = self._further(layout, place, moved, evidence, damping, workers)
+            first = place.misfit - moved.misfit
+            moved = self._further(layout, moved, first, evidence, damping, workers)
             gained = place.misfit - moved.misfit
             place = moved
             history.append(place.misfit)
@@ -583,12 +585,10 @@ class JointFitting:
             promised = joined.promised(shared) + of_priors
             if damping == 0 and promised < settings.nothing:
                 return None, damping, True
-            values = place.values + shared[: layout.n_base]
-            coefficients = place.coefficients + shared[layout.n_base :]
-            moved = self._moved(layout, place, values, coefficients, joined.locals(shared), workers, evidence)
+            moved = self._moved(layout, place, shared, joined.locals(shared), workers, evidence)
             if moved is not None and place.misfit - moved.misfit < settings.kept * promised:
                 # Where the step has left a curved valley, its tangents still lead back to the ground.
-                back = self._chord(layout, place, moved, evidence, damping, workers)
+                back = self._chord(layout, moved, evidence, damping, workers)
                 moved = back if back is not None and back.misfit < moved.misfit else moved
             if moved is not None and moved.misfit < (place if best is None else best).misfit:
                 best, taken = moved, damping
@@ -604,20 +604,19 @@ class JointFitting:
     def _further(
         self,
         layout: SharedLayout,
-        place: JointFit,
         moved: JointFit,
+        first: float,
         evidence: Evidence,
         damping: float,
         workers: Workers,
     ) -> JointFit:
-        """Where a step leads that is followed by more with the same tangents, as long as they gain enough.
+        """Where more steps with the same tangents lead, as long as they gain enough beside ``first``.
 
         A simulation costs a fraction of what new tangents do (Shamanskii 1967, A modification of Newton's
         method).
         """
-        first = place.misfit - moved.misfit
         for _ in range(self.settings.chords):
-            again = self._chord(layout, place, moved, evidence, damping, workers)
+            again = self._chord(layout, moved, evidence, damping, workers)
             if again is None:
                 break
             gained = moved.misfit - again.misfit
@@ -628,38 +627,26 @@ class JointFitting:
         return moved
 
     def _chord(
-        self,
-        layout: SharedLayout,
-        place: JointFit,
-        moved: JointFit,
-        evidence: Evidence,
-        damping: float,
-        workers: Workers,
+        self, layout: SharedLayout, moved: JointFit, evidence: Evidence, damping: float, workers: Workers
     ) -> JointFit | None:
         """One more step, from where one has led, with the tangents of where that began."""
-        carried = self._carried(layout, place, moved, evidence)
+        carried = self._carried(layout, moved, evidence)
         joined = Joined(carried.systems, self.size, damping)
         shared = self._shared_step(layout, moved, joined, damping)
-        values = moved.values + shared[: layout.n_base]
-        coefficients = moved.coefficients + shared[layout.n_base :]
-        return self._moved(layout, moved, values, coefficients, joined.locals(shared), workers, carried)
+        return self._moved(layout, moved, shared, joined.locals(shared), workers, carried)
 
-    def _carried(
-        self, layout: SharedLayout, place: JointFit, moved: JointFit, evidence: Evidence
-    ) -> Evidence:
+    def _carried(self, layout: SharedLayout, moved: JointFit, evidence: Evidence) -> Evidence:
         """Evidence around another place, with residuals of there and tangents of where it was made."""
         systems: list[WindowSystem] = []
-        n_shared = layout.n_base + layout.n_coefficients
-        at = 0
+        made = iter(evidence.systems)
         for c, clip in enumerate(self.clips):
             columns = layout.columns(c)
             for k, window in enumerate(moved.windows[c]):
-                system = evidence.systems[at]
-                at += 1
+                system = next(made)
                 assert system.motion is not None
                 own = clip.shooting.image_gradient(window, system.motion)
                 gradient = np.zeros_like(system.gradient)
-                gradient[columns], gradient[n_shared:] = own[: len(columns)], own[len(columns) :]
+                gradient[columns], gradient[evidence.n_shared :] = own[: len(columns)], own[len(columns) :]
                 link = system.link
                 if link is not None:
                     link = replace(link, jump=clip.shooting.jump(moved.windows[c][k - 1], window))
@@ -719,14 +706,14 @@ class JointFitting:
         self,
         layout: SharedLayout,
         place: JointFit,
-        values: Array,
-        coefficients: Array,
+        shared: Array,
         changes: list[Array],
         workers: Workers,
         evidence: Evidence,
     ) -> JointFit | None:
-        """The hypothesis with other unknowns, simulated; None where a step blows up."""
-        coefficients = self._bounded(layout, coefficients)
+        """The hypothesis with changed unknowns, shared and local, simulated; None where a step blows up."""
+        values = place.values + shared[: layout.n_base]
+        coefficients = self._bounded(layout, place.coefficients + shared[layout.n_base :])
         acting = self._acting(layout, coefficients)
         windows: list[list[WindowMotion]] = []
         at = 0

@@ -134,9 +134,10 @@ class _Predictor:
         """
         found = []
         shooting = self.shooting if field is None else self.shooting.pushed(field)
+        given = shooting.with_effects(effects, self.around, base)
         for window in self.windows:
             try:
-                moved = shooting.simulate(window, window.standardised, base, effects, self.around)
+                moved = shooting.simulate(window, window.standardised, base, given)
             except FloatingPointError:
                 return None
             if not moved.converged:

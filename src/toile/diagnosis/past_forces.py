@@ -149,25 +149,23 @@ class _ElementPast:
     """
 
     def __init__(self, terms: Sequence[ElementTerm], cloth: Cloth) -> None:
-        self._terms, self._n = terms, cloth.n_vertices
+        self._terms = terms
         split_terms, vertices, elements = [], [], []
         n_vertices = n_elements = 0
-        self._places: dict[str, slice] = {}
         for term in cloth.energies:
             E, K = term.stencil.shape
             own = n_vertices + torch.arange(E * K).reshape(E, K)
             split_terms.append(replace(term, stencil=own))
             vertices.append(term.stencil.reshape(-1))
             elements.append(n_elements + np.repeat(np.arange(E), K))
-            self._places[term.name] = slice(n_vertices, n_vertices + E * K)
             n_vertices, n_elements = n_vertices + E * K, n_elements + E
         self._vertices = torch.cat(vertices)
         energies = InternalEnergy(split_terms)
         self._cloth = _SplitCloth(cloth.topology, energies, cloth.masses.detach(), cloth.pinned, cloth.law)
         at = (3 * self._vertices.numpy()[:, None] + np.arange(3)).reshape(-1)
         element = np.repeat(np.concatenate(elements), 3)
-        self._before = _Pattern(element, at, (n_elements, 3 * self._n))
-        self._after = _Pattern(at, element, (3 * self._n, n_elements))
+        self._before = _Pattern(element, at, (n_elements, 3 * cloth.n_vertices))
+        self._after = _Pattern(at, element, (3 * cloth.n_vertices, n_elements))
 
     def products(self, now: StepContext, positions: Array) -> Products:
         """See ``change``; first what the elements do with a change, then how the past changes them."""

@@ -346,8 +346,6 @@ class Shooting:
         window: WindowMotion,
         standardised: Array,
         base: Base,
-        effects: Sequence[Effect] = (),
-        around: Surroundings | None = None,
         given: ChangedSimulation | None = None,
     ) -> WindowMotion:
         """The same window with other unknowns, simulated.
@@ -356,9 +354,7 @@ class Shooting:
             window: its frames, reference and last motion.
             standardised: local unknowns.
             base: stiffness and wind.
-            effects: in the model.
-            around: the whole clip; needed with effects.
-            given: what they change, for several windows; None: found here.
+            given: the clip with effects, see ``with_effects``; None without any.
         """
         state, boundary, force = self.local(window, standardised)
         wind = base.wind @ self.horizontal
@@ -367,15 +363,12 @@ class Shooting:
             torch.from_numpy(self.masses[:, None] * (self.gravity + wind + self.push + force)),
         )
         pinned = torch.from_numpy(boundary)
-        if effects:
-            assert around is not None
-            if given is None:
-                given = changed_simulation(self, effects, around, torch.from_numpy(wind))
+        if given is not None:
             simulator, cloth, total, moved = given
             forces = total[window.first : window.last] + cloth.masses[:, None] * torch.from_numpy(
                 self.push + force
             )
-            shift = moved - torch.from_numpy(self.boundary[: around.n_frames])
+            shift = moved - torch.from_numpy(self.boundary[: len(moved)])
             pinned = pinned + shift[window.first : window.last + 1]
         warm = None
         if len(window.positions):
@@ -400,6 +393,21 @@ class Shooting:
             converged=good,
             slower=simulator.time_step / self.simulator.time_step,
         )
+
+    def with_effects(
+        self, effects: Sequence[Effect], around: Surroundings | None, base: Base
+    ) -> ChangedSimulation | None:
+        """The clip with effects, for all of its windows; None without any.
+
+        Args:
+            effects: in the model.
+            around: the whole clip; needed with effects.
+            base: stiffness and wind.
+        """
+        if not effects:
+            return None
+        assert around is not None
+        return changed_simulation(self, effects, around, torch.from_numpy(base.wind @ self.horizontal))
 
     def image_cost(self, window: WindowMotion) -> float:
         """Negative log-likelihood of a window's images, up to a constant."""

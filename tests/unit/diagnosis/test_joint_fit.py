@@ -177,9 +177,9 @@ class TestFits:
         steps: list[float] = []
         really = JointFitting._moved
 
-        def disappointing(self: JointFitting, layout, place, values, coefficients, *rest):
-            found = really(self, layout, place, values, coefficients, *rest)
-            steps.append(float(np.linalg.norm(values - place.values)))
+        def disappointing(self: JointFitting, layout, place, shared, *rest):
+            found = really(self, layout, place, shared, *rest)
+            steps.append(float(np.linalg.norm(shared[: layout.n_base])))
             # The first full step, and the one back from there, end on a ledge just below where they began.
             return replace(place, misfit=place.misfit - 1e-3) if len(steps) <= 2 else found
 
@@ -193,7 +193,7 @@ class TestFits:
         fitting, fit = dragged.fitting, dragged.drag
         layout = fitting.layout((drag(0.0),))
         here = fitting._evidence(layout, fit, ALONE)
-        carried = fitting._carried(layout, fit, fit, here)
+        carried = fitting._carried(layout, fit, here)
         for before, after in zip(here.systems, carried.systems, strict=True):
             size = np.abs(before.gradient).max()
             assert after.gradient == pytest.approx(before.gradient, abs=1e-4 * size)
