@@ -138,6 +138,10 @@ def certainty(report: GapReport) -> str:
     if verdict.effect == AMBIGUOUS:
         found = {effect.name: effect.probability for effect in report.effects}
         each = [f"{plain_name(c)} {percent(found[c])}" for c in verdict.candidates if c in found]
+        beside = [plain_name(c) for c in verdict.candidates if c not in found]
+        if beside:
+            left = verdict.probability - sum(found.get(c, 0.0) for c in verdict.candidates)
+            each.append(f"{listed(beside, 'or')} {percent(max(left, 0.0))}")
         text = f"Together they hold {probability} of the probability"
         text += f": {', '.join(each)}." if each else "."
         return f"{text} Every effect among them acts in the {verdict.stage} stage." if stage else text
@@ -189,6 +193,13 @@ def when_moved(report: GapReport) -> str:
 def beats_placebo(shrink: Shrink) -> bool:
     """Whether the lower end of the interval is above the best placebo, and above nothing."""
     return shrink.low > max(0.0, shrink.best_placebo or 0.0)
+
+
+def doubt(shrink: Shrink) -> str:
+    """What the held-out error says against an effect, in two words; "" for nothing."""
+    if shrink.high < 0:
+        return "predicts worse"
+    return "" if beats_placebo(shrink) else "within placebo"
 
 
 def metric_and_unit(metric: str) -> tuple[str, str]:

@@ -37,6 +37,7 @@ from toile.reports.diagnosis_wording import (
     certainty,
     change,
     change_between,
+    doubt,
     frame_ranges,
     percent,
     shrinkage,
@@ -120,6 +121,8 @@ def test_ambiguity_names_the_candidates_and_what_to_record(report: GapReport) ->
     )
     perhaps = dataclasses.replace(AMBIGUITY, candidates=("air_drag", NONE))
     assert answer(answered(report, perhaps)) == "Air drag or nothing at all: this clip cannot tell."
+    # What is no effect has its share as well: the numbers add up to what they hold together.
+    assert "air drag 93 %, nothing missing 3 %" in certainty(answered(report, perhaps))
 
 
 def test_no_gap_and_unknown_causes(report: GapReport) -> None:
@@ -326,6 +329,13 @@ def test_certainty_says_what_the_stage_is(report: GapReport) -> None:
     mixed = answered(report, dataclasses.replace(AMBIGUITY, stage=UNKNOWN))
     assert "stage" not in certainty(mixed)
     assert "mechanics stage" in certainty(answered(report, AMBIGUITY))
+
+
+def test_an_effect_that_predicts_worse_is_not_said_to_be_within_a_placebo() -> None:
+    assert doubt(SHRINK) == ""
+    assert doubt(dataclasses.replace(SHRINK, low=0.01)) == "within placebo"
+    worse = dataclasses.replace(SHRINK, estimate=-0.23, low=-0.3, high=-0.16, best_placebo=0.02)
+    assert doubt(worse) == "predicts worse"
 
 
 def test_held_out_chart_places_base_effect_and_placebo(report: GapReport) -> None:
