@@ -199,7 +199,11 @@ class Evidence:
         return self.information(range(self.n_base, self.n_shared), size)[0]
 
     def information(
-        self, free: Sequence[int], size: Discrepancy, usual: Sequence[int] = (), inflation: float = 1.0
+        self,
+        free: Sequence[int],
+        size: Discrepancy,
+        usual: Sequence[int] = (),
+        inflation: float | Sequence[float] = 1.0,
     ) -> tuple[Array, Array]:
         """Information on some effects' coefficients, and the slope of the likelihood by them.
 
@@ -209,11 +213,12 @@ class Evidence:
             free: places of the coefficients among the shared unknowns.
             size: of the discrepancy.
             usual: places of coefficients that belong to the base.
-            inflation: prior deviation of those.
+            inflation: prior deviation of those, of all or of each.
         """
         reduced = self.reduced(size)
         base = [*range(self.n_base), *usual]
-        precision = np.concatenate((self.deviations**-2, np.full(len(usual), inflation**-2.0)))
+        of_usual = np.broadcast_to(np.asarray(inflation, np.float64), len(usual))
+        precision = np.concatenate((self.deviations**-2, of_usual**-2))
         now = np.concatenate((self.values, self.coefficients[[place - self.n_base for place in usual]]))
         A = reduced.matrix[np.ix_(base, base)] + np.diag(precision)
         C = reduced.matrix[base][:, free]

@@ -8,6 +8,7 @@ whatever belongs to the cloth or the device. Every hypothesis is fitted until a 
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
@@ -382,6 +383,32 @@ class JointFitting:
             n_usual=len(begin.coefficients) if len(effects) > len(begin.names) else begin.n_usual,
         )
 
+    def with_usual(self, effects: Sequence[Effect]) -> JointFitting:
+        """Fits to the same clips with another base model.
+
+        Args:
+            effects: at zero, that it has.
+        """
+        other = copy.copy(self)
+        other.usual = tuple(effects)
+        return other
+
+    def with_effect_at_zero(self, fit: JointFit, effect: Effect) -> JointFit:
+        """A fit to which an effect belongs that does nothing yet.
+
+        Args:
+            fit: without it.
+            effect: at zero.
+        """
+        n = self.layout((effect,)).n_coefficients
+        return replace(
+            fit,
+            names=(*fit.names, effect.NAME),
+            coefficients=np.concatenate((fit.coefficients, np.zeros(n))),
+            covariance=block_diag(fit.covariance, self.settings.inflation(effect) ** 2 * np.eye(n)),
+            effects=[(*acting, effect) for acting in fit.effects],
+        )
+
     def usual_in(self, base: JointFit) -> tuple[Effect, ...]:
         """Effects that a base model has."""
         return tuple(effect for effect in self.usual if effect.NAME in base.names)
@@ -449,14 +476,11 @@ class JointFitting:
         """
         layout = self.layout(effects)
         evidence = self._joined(layout, systems, base.values, self._placed(layout, base).coefficients)
-        usual = [
-            layout.n_base + place
-            for effect, places in zip(effects, layout.places, strict=True)
-            if effect.NAME in base.names
-            for place in places
-        ]
-        # All of the base model's effects have few coefficients, or all have many.
-        wide = self.settings.inflation(self.usual[0]) if self.usual else 1.0
+        usual, wide = [], []
+        for effect, places in zip(effects, layout.places, strict=True):
+            if effect.NAME in base.names:
+                usual += [layout.n_base + place for place in places]
+                wide += [self.settings.inflation(effect)] * len(places)
         found = {}
         for effect, places in zip(effects, layout.places, strict=True):
             if effect.NAME in base.names:
@@ -495,7 +519,8 @@ class JointFitting:
         if names == begin.names:
             return begin
         coefficients = np.zeros(layout.n_coefficients)
-        before = self.layout([e for e in layout.effects if e.NAME in begin.names])
+        by_name = {effect.NAME: effect for effect in layout.effects}
+        before = self.layout([by_name[name] for name in begin.names if name in by_name])
         for clip in range(len(self.clips)):
             here = dict(zip(names, layout.coefficients(clip), strict=True))
             for effect, places in zip(before.effects, before.coefficients(clip), strict=True):

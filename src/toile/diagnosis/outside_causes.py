@@ -13,12 +13,13 @@ what images do not see, the depth of a sheet that faces the camera, is uncertain
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
+from toile.diagnosis.continuity import WindowSystem
 from toile.diagnosis.effect_evidence import EffectEvidence
 from toile.diagnosis.effect_size import Displacement, displacement
 from toile.diagnosis.fingerprint import fingerprint
@@ -44,12 +45,14 @@ class OutsideCause:
         coefficients: in prior deviations, see SharedLayout (n,).
         covariance: of them (n, n).
         displacement: how far it moves the cloth.
+        beside: evidence of every other cause, once this one acts.
     """
 
     evidence: EffectEvidence
     coefficients: Array
     covariance: Array
     displacement: Displacement
+    beside: dict[str, EffectEvidence] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -154,7 +157,8 @@ def judged(
         workers: share the windows of a clip.
     """
     candidates = [*outside, *fitting.usual]
-    found = fitting.linearised(candidates, base, fitting.systems(candidates, base, workers))
+    systems = fitting.systems(candidates, base, workers)
+    by_name = {effect.NAME: effect for effect in outside}
     return OutsideCauses(
         {
             name: OutsideCause(
@@ -162,13 +166,30 @@ def judged(
                 fit.own,
                 fit.own_covariance,
                 displacement(fitting.clips, fitting.start, fit, width),
+                _beside(fitting, base, by_name[name], candidates, systems),
             )
-            for name, fit in found.items()
+            for name, fit in fitting.linearised(candidates, base, systems).items()
         },
         float(base.effects[0][0].values[0]),
         len(base.history) - 1,
         base.converged,
     )
+
+
+def _beside(
+    fitting: JointFitting,
+    base: JointFit,
+    first: Effect,
+    candidates: Sequence[Effect],
+    systems: Sequence[Sequence[WindowSystem]],
+) -> dict[str, EffectEvidence]:
+    """Evidence of all other candidates where one of them acts, as strongly as is best beside each."""
+    given = fitting.with_usual((*fitting.usual, first))
+    with_first = given.with_effect_at_zero(base, first)
+    return {
+        name: EffectEvidence.of(with_first.misfit - fit.misfit, fit.own, fit.own_covariance, fit.size)
+        for name, fit in given.linearised(candidates, with_first, systems).items()
+    }
 
 
 def outside_stage(

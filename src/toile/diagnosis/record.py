@@ -252,6 +252,8 @@ class SessionAnswer:
         moved_by: the most probable of the effects that move the cloth, "" in files of before.
         moved: mean distance by which that effect moves the cloth in every frame of the first clip, all else
             equal [widths]; () where it is not known.
+        beside: probabilities of every other effect that moves the cloth, NONE among them, once ``moved_by``
+            acts; {} where it was not asked, as nothing may be moving it.
     """
 
     clips: tuple[str, ...]
@@ -264,6 +266,7 @@ class SessionAnswer:
     expected_information: dict[str, float] = field(default_factory=dict)
     moved_by: str = ""
     moved: tuple[float, ...] = ()
+    beside: dict[str, Fraction] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -41,6 +41,7 @@ from toile.diagnosis.record import (
     Where,
 )
 from toile.diagnosis.results import KINDS
+from toile.diagnosis.second_effect import EffectsBeside, SecondEffect
 from toile.diagnosis.session_alias import session_alias
 from toile.diagnosis.session_evidence import (
     SessionEvidence,
@@ -62,7 +63,7 @@ from toile.diagnosis.settings import DiagnosisSettings
 from toile.diagnosis.stage_store import StageStore
 from toile.diagnosis.stage_times import TIMES_FILE, StageTimes
 from toile.diagnosis.stored_values import ValueStore
-from toile.diagnosis.verdict import is_clear, refuted, verdict_of
+from toile.diagnosis.verdict import is_clear, of_two, refuted, verdict_of
 from toile.effects.base import Effect
 from toile.effects.catalogue import CATALOGUE, STAGES
 from toile.generation.clip_plan import MOTIONS
@@ -96,6 +97,7 @@ class _Found:
     left_out: LeftOut
     gains: dict[str, float]
     displacements: dict[str, Displacement]
+    second: SecondEffect | None
 
 
 @denormals_flushed()
@@ -204,8 +206,15 @@ def diagnose_session(
     evidence.motion.write(folder / EVIDENCE_FILE)
     scale = evidence.scale
     alias = session_alias(model.fitting, considered, systems, weights.threshold, scale)
+    second: SecondEffect | None = None
+    if sum(evidence.chances.get(effect.NAME, 0.0) for effect in moving) >= settings.verdict.named:
+        # Something moves the cloth, whichever it is.
+        progress("what acts beside the most probable effect", 0.89)
+        simulated = {effect.NAME: fits[effect.NAME] for effect in chosen}
+        beside = EffectsBeside(pipeline, stages, motion, base, simulated, moving, outside, learned, weights)
+        second = beside.second(evidence.chances, settings.verdict, 0.89)
     gains: dict[str, float] = {}
-    if not is_clear(evidence.chances, settings.verdict):
+    if not is_clear(evidence.chances, settings.verdict) and not (second and second.name):
         progress("clips that may be recorded next", 0.9)
         gains = expected_gains(
             model.fitting,
@@ -224,8 +233,7 @@ def diagnose_session(
         )
     progress("prediction of the clip that is left out", 0.95)
     ahead = max(2, round(together.ahead * problems[-1].scene.fps / 25))
-    simulated = {effect.NAME for effect in chosen}
-    best = [name for name in evidence.chances if name in simulated][: together.refined]
+    best = [name for name in evidence.chances if name in {e.NAME for e in chosen}][: together.refined]
     left_out = left_out_shrinks(
         model.fitting,
         model.left_out,
@@ -237,7 +245,7 @@ def diagnose_session(
         together.seed,
     )
     progress("answer", 0.99)
-    found = _Found(clips, model, base, fits, evidence, weights, alias, left_out, gains, displacements)
+    found = _Found(clips, model, base, fits, evidence, weights, alias, left_out, gains, displacements, second)
     return _report(found, effects, settings, together, calibration, session, folder)
 
 
@@ -282,6 +290,10 @@ def _report(
         settings=settings.verdict,
     )
     verdict = _of_class(verdict, evidence.chances, classes, settings)
+    second = found.second
+    if second is not None and second.name:
+        acts = sum(p for name, p in evidence.chances.items() if name in found.fits)
+        verdict = of_two(verdict, second.first, second.name, acts * second.chances[second.name])
     if len(found.clips) > 1:
         verdict = refuted(verdict, evidence.chances, found.left_out.shrinks)
     following = ""
@@ -336,6 +348,7 @@ def _report(
             dict(gains),
             moving,
             tuple(moved) if np.isfinite(moved).all() else (),
+            {} if second is None else second.chances,
         ),
     )
 

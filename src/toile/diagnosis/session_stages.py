@@ -351,3 +351,29 @@ class HypothesisStages:
         return PipelineStage(
             f"fit of {name}", f"fits/{name}.npz", f"fit of {name}", share, JointFit, compute, made_from
         )
+
+    def fit_beside(
+        self, fitting: JointFitting, effect: Effect, first: str, share: float
+    ) -> PipelineStage[RefinedMotion, JointFit, JointFit]:
+        """The fit of a second effect, from where the fit of the first one has ended.
+
+        Args:
+            fitting: whose base model has the first one.
+            effect: in question.
+            first: name of the effect that acts.
+            share: of all work that is done when it begins.
+        """
+        name = effect.NAME
+
+        def compute(motion: RefinedMotion, with_first: JointFit) -> JointFit:
+            return fitting.fitted(fitting.hypothesis(effect, with_first), with_first, self.workers)
+
+        return PipelineStage(
+            f"fit of {name} beside {first}",
+            f"fits/{name}_beside_{first}.npz",
+            f"fit of {name} beside {first}",
+            share,
+            JointFit,
+            compute,
+            {**self.made_from, "effect": fingerprint((effect,))},
+        )

@@ -116,6 +116,35 @@ def verdict_of(
     return Verdict(first, candidates, STAGES[first].value, found[first], reason, "", also)
 
 
+def of_two(verdict: Verdict, first: str, second: str, probability: float) -> Verdict:
+    """The same verdict with a second effect that moves the cloth; clear, if it was not.
+
+    Each of them is missing where the other acts, so that they are no rivals, whichever has more evidence.
+
+    Args:
+        verdict: from hypotheses with one effect each.
+        first: the most probable of them.
+        second: acts beside it.
+        probability: that something moves the cloth, and the second one beside the first.
+    """
+    if verdict.effect not in (AMBIGUOUS, first):
+        return verdict
+    both = f"{first} and {second}: each explains what the base model with the other misses."
+    if verdict.effect == first:
+        beside = verdict.also or second
+        return replace(verdict, also=beside, reason=f"{verdict.reason} {both}")
+    return replace(
+        verdict,
+        effect=first,
+        candidates=tuple(dict.fromkeys((first, second, *verdict.candidates))),
+        stage=STAGES[first].value,
+        probability=probability,
+        reason=both,
+        next_recording="",
+        also=second,
+    )
+
+
 def refuted(verdict: Verdict, found: Mapping[str, float], shrinks: Mapping[str, Shrink]) -> Verdict:
     """The same verdict, unless its effect predicts worse what no fit has seen: then the clips are ambiguous.
 

@@ -128,7 +128,7 @@ def certainty(report: GapReport) -> str:
     verdict = report.verdict
     probability = f"{percent(verdict.probability)}{' (uncalibrated)' if is_uncalibrated(report) else ''}"
     stage = f"It acts in the {verdict.stage} stage." if verdict.stage in STAGES else ""
-    others = [spoken(c) for c in verdict.candidates if c != verdict.effect]
+    others = [spoken(c) for c in verdict.candidates if c not in (verdict.effect, verdict.also)]
     excluded = f" Not excluded: {listed(others, 'and')}." if others else ""
     if verdict.effect == NONE:
         return f"Probability {probability} that nothing is missing.{excluded}"

@@ -1,0 +1,134 @@
+"""Whether a second effect moves the cloth beside the one that is most probable.
+
+Hypotheses with one effect each are rivals, and two effects that act at once share what speaks for them. So
+the model with the first effect becomes the base model of all others, judged by the same weights. The second
+one is believed where each of the two is missing once the other acts: what merely took a share of the other's
+trace is not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from toile.diagnosis.decision import NONE
+from toile.diagnosis.effect_evidence import EffectEvidence
+from toile.diagnosis.effect_size import displacement
+from toile.diagnosis.joint_fit import JointFit
+from toile.diagnosis.outside_causes import OutsideCauses
+from toile.diagnosis.pipeline import Pipeline
+from toile.diagnosis.session_evidence import promising
+from toile.diagnosis.session_stages import HypothesisStages, RefinedMotion
+from toile.diagnosis.session_weights import MotionEvidence, SessionWeights, chances
+from toile.diagnosis.verdict import VerdictSettings, is_clear
+from toile.effects.base import Effect
+
+
+@dataclass(frozen=True)
+class SecondEffect:
+    """What acts beside the most probable effect.
+
+    Attributes:
+        first: the most probable effect.
+        chances: of all others beside it, NONE among them, most probable first.
+        name: of the one that is believed, "" for none.
+    """
+
+    first: str
+    chances: dict[str, float]
+    name: str
+
+
+@dataclass(frozen=True)
+class EffectsBeside:
+    """Judges effects beside another one.
+
+    Attributes:
+        pipeline: runs the fits, or reads what they have found.
+        stages: of hypotheses with one effect.
+        motion: they are fitted to.
+        base: the base model.
+        fits: hypotheses that have been simulated, by the name of the effect.
+        effects: candidates that move the cloth.
+        outside: see outside_causes.
+        learned: probabilities of the learned decision, None where there is none.
+        weights: see SessionWeights.
+    """
+
+    pipeline: Pipeline
+    stages: HypothesisStages
+    motion: RefinedMotion
+    base: JointFit
+    fits: Mapping[str, JointFit]
+    effects: Sequence[Effect]
+    outside: OutsideCauses
+    learned: Mapping[str, float] | None
+    weights: SessionWeights
+
+    def second(self, probable: Mapping[str, float], settings: VerdictSettings, share: float) -> SecondEffect:
+        """What acts beside the most probable of the effects.
+
+        Args:
+            probable: probabilities of hypotheses with one effect.
+            settings: from which probability on an effect is believed.
+            share: of all work that is done when it begins.
+        """
+        first = max((effect.NAME for effect in self.effects), key=lambda name: probable.get(name, 0.0))
+        found = self.beside(first, share)
+        name = _believed(found, settings)
+        # What the base model has is missing without it: else it would not be there.
+        both = first in self.base.names
+        if name and not both and _believed(self.beside(name, share, only=first), settings) != first:
+            name = ""
+        return SecondEffect(first, found, name)
+
+    def beside(self, first: str, share: float, only: str | None = None) -> dict[str, float]:
+        """Probabilities of effects once one of them acts, and of none beside it, most probable first.
+
+        Args:
+            first: the one that acts.
+            share: of all work that is done when it begins.
+            only: the one that is asked about; None for all others.
+        """
+        by_name = {effect.NAME: effect for effect in self.effects}
+        with_first = self._with(by_name[first], share)
+        others = [e for e in self.effects if e.NAME not in with_first.names and only in (None, e.NAME)]
+        model, workers = self.stages.model, self.stages.workers
+        usual = model.fitting.usual_in(self.base)
+        acting = usual if first in self.base.names else (*usual, by_name[first])
+        fitting = model.fitting.with_usual(acting)
+        considered = [*others, *acting]
+        systems = fitting.systems(considered, with_first, workers)
+        fits = fitting.linearised(considered, with_first, systems)
+        errors = model.errors(with_first)
+        for effect in promising(with_first, fits, others, errors, 1):
+            stage = self.stages.fit_beside(fitting, effect, first, share)
+            fits[effect.NAME] = self.pipeline.run(stage, self.motion, with_first)
+        causes = self.outside.causes
+        freed = causes[first].beside if first in causes else {n: c.evidence for n, c in causes.items()}
+        freed = {name: one for name, one in freed.items() if name in fits}
+        sizes = {
+            name: causes[name].displacement.last
+            if name in causes
+            else displacement(fitting.clips, fitting.start, fit, model.width).last
+            for name, fit in fits.items()
+        }
+        within = {
+            name: EffectEvidence.of(with_first.misfit - fit.misfit, fit.own, fit.own_covariance, fit.size)
+            for name, fit in fits.items()
+        }
+        found = chances(MotionEvidence(errors, within, self.learned, {}, sizes, freed), self.weights)
+        return dict(sorted(found.items(), key=lambda item: -item[1]))
+
+    def _with(self, effect: Effect, share: float) -> JointFit:
+        """The model with one effect, simulated."""
+        if effect.NAME in self.base.names:
+            return self.base
+        if effect.NAME in self.fits:
+            return self.fits[effect.NAME]
+        return self.pipeline.run(self.stages.fit(effect, share), self.motion, self.base)
+
+
+def _believed(found: Mapping[str, float], settings: VerdictSettings) -> str:
+    first = max(found, key=lambda name: found[name])
+    return first if first != NONE and is_clear(found, settings) else ""

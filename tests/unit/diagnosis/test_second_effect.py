@@ -1,0 +1,121 @@
+"""Two effects that move the cloth at once are both found, and one is not taken for two."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from tests.unit.diagnosis import test_joint_fit
+from tests.unit.diagnosis.test_joint_fit import DRAG, FRAMES, STIFFNESS, WINDS, clip, drag
+from toile.diagnosis.decision import NONE
+from toile.diagnosis.joint_fit import JointFit, JointFitting, joint_clip
+from toile.diagnosis.model_errors import ModelErrors
+from toile.diagnosis.outside_causes import OutsideCauses
+from toile.diagnosis.pipeline import Pipeline, PipelineStage
+from toile.diagnosis.record import AMBIGUOUS, Verdict
+from toile.diagnosis.results import KINDS
+from toile.diagnosis.second_effect import EffectsBeside, SecondEffect
+from toile.diagnosis.session_stages import HypothesisStages, RefinedMotion
+from toile.diagnosis.session_weights import SessionWeights
+from toile.diagnosis.stage_store import StageStore
+from toile.diagnosis.stage_times import StageTimes
+from toile.diagnosis.stored_values import ValueStore
+from toile.diagnosis.verdict import VerdictSettings, of_two
+from toile.effects.base import Effect
+from toile.effects.catalogue import CATALOGUE
+
+CANDIDATES = tuple(CATALOGUE[n]() for n in ("air_drag", "anisotropic_stiffness", "nonuniform_density"))
+UNEVEN = CATALOGUE["anisotropic_stiffness"]({"stretching": 1.5, "bending": 1.5})
+SETTINGS = VerdictSettings(named=0.9)
+
+
+def fitted(*acting: Effect) -> tuple[JointFitting, JointFit]:
+    clips = [joint_clip(*clip(wind, acting), FRAMES) for wind in WINDS[:1]]
+    fitting = JointFitting(clips, STIFFNESS, np.zeros(3))
+    return fitting, fitting.fitted((), fitting.start_fit())
+
+
+def second(folder: Path, *acting: Effect) -> SecondEffect:
+    """What is found in clips with these effects, by the way that a diagnosis goes."""
+    fitting, base = fitted(*acting)
+    errors = ModelErrors(10.0, 10.0, 0.0025)
+    model = cast(Any, SimpleNamespace(fitting=fitting, width=0.3, errors=lambda fit: errors))
+    kinds = (*KINDS, JointFit, RefinedMotion)
+    store = StageStore(folder, ValueStore(kinds, CANDIDATES), StageTimes())
+    pipeline = Pipeline(store, lambda what, share: None)
+    stages = HypothesisStages(model, lambda what, share: None, {})
+    nothing = RefinedMotion([], None)
+    motion = pipeline.run(
+        PipelineStage("motion", "motion.npz", "motion", 0.0, RefinedMotion, lambda: nothing)
+    )
+    plain = pipeline.run(
+        PipelineStage("plain", "plain.npz", "plain", 0.0, JointFit, lambda: base),
+    )
+    systems = fitting.systems(CANDIDATES, plain)
+    found = fitting.linearised(CANDIDATES, plain, systems)
+    drops = {name: plain.misfit - fit.misfit for name, fit in found.items()}
+    probable = dict.fromkeys((NONE, *drops), 0.0) | {max(drops, key=lambda name: drops[name]): 0.6}
+    beside = EffectsBeside(
+        pipeline, stages, motion, plain, {}, CANDIDATES, OutsideCauses({}), None, SessionWeights()
+    )
+    return beside.second(probable, SETTINGS, 0.5)
+
+
+def test_two_effects_are_found_together(tmp_path: Path) -> None:
+    found = second(tmp_path, drag(2.0), UNEVEN)
+    assert {found.first, found.name} == {"air_drag", "anisotropic_stiffness"}
+    assert found.chances[found.name] == next(iter(found.chances.values())) > 0.9
+    assert sum(found.chances.values()) == pytest.approx(1.0)
+    assert found.first not in found.chances
+
+
+@pytest.mark.parametrize("acting", [drag(1.2), UNEVEN])
+def test_one_effect_is_not_taken_for_two(tmp_path: Path, acting: Effect) -> None:
+    found = second(tmp_path, acting)
+    assert (found.first, found.name) == (acting.NAME, "")
+    assert next(iter(found.chances)) == NONE
+
+
+def test_what_two_effects_gain_does_not_hang_on_their_order() -> None:
+    """The quadratic has one minimum for both: first gain and second gain add up to the same."""
+    fitting, base = fitted(drag(1.2))
+    systems = fitting.systems(CANDIDATES, base)
+    alone = fitting.linearised(CANDIDATES, base, systems)
+    one, other = CANDIDATES[1:]
+
+    def gains(first: Effect, then: Effect) -> float:
+        given = fitting.with_usual((first,))
+        with_first = given.with_effect_at_zero(base, first)
+        beside = given.linearised(CANDIDATES, with_first, systems)[then.NAME]
+        return 2 * base.misfit - alone[first.NAME].misfit - beside.misfit
+
+    assert gains(one, other) == pytest.approx(gains(other, one), rel=1e-6)
+    assert gains(one, other) > 1.0
+
+
+def test_causes_from_outside_are_known_beside_each_other() -> None:
+    """A drag is as sure beside a density that is there too; where it alone acts, nothing is beside it."""
+    heavy = CATALOGUE["nonuniform_density"]({"mode_01": 0.6})
+    strong, found = drag(3 * DRAG), test_joint_fit.TestCausesFromOutside().found
+    both, alone = (found(*acting)[0].causes for acting in ((strong, heavy), (strong,)))
+    assert both["air_drag"].beside["nonuniform_density"].nats() > 4
+    assert both["nonuniform_density"].beside["air_drag"].nats() > 4
+    assert alone["air_drag"].beside["nonuniform_density"].nats() < 2
+    assert "air_drag" not in alone["air_drag"].beside
+
+
+def test_two_rivals_that_both_act_are_the_answer() -> None:
+    open_ = Verdict(AMBIGUOUS, ("air_drag", "gusts"), "unknown", 0.97, "…", "another clip")
+    found = of_two(open_, "air_drag", "gusts", 0.93)
+    assert (found.effect, found.also, found.probability) == ("air_drag", "gusts", 0.93)
+    assert found.candidates == ("air_drag", "gusts")
+    assert not found.next_recording
+    named = Verdict("air_drag", ("air_drag",), "mechanics", 0.95, "…", "")
+    assert of_two(named, "air_drag", "gusts", 0.9).also == "gusts"
+    assert of_two(named, "air_drag", "gusts", 0.9).probability == 0.95
+    none = Verdict(NONE, (NONE,), NONE, 0.95, "…", "")
+    assert of_two(none, "air_drag", "gusts", 0.9) == none
