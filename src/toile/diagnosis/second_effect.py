@@ -11,6 +11,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from toile.diagnosis.decision import NONE
 from toile.diagnosis.effect_evidence import EffectEvidence
 from toile.diagnosis.effect_size import displacement
@@ -23,6 +26,8 @@ from toile.diagnosis.session_weights import MotionEvidence, SessionWeights, chan
 from toile.diagnosis.verdict import VerdictSettings, is_clear
 from toile.effects.base import Effect
 
+Array = NDArray[np.float64]
+
 
 @dataclass(frozen=True)
 class SecondEffect:
@@ -32,11 +37,13 @@ class SecondEffect:
         first: the most probable effect.
         chances: of all others beside it, NONE among them, most probable first.
         name: of the one that is believed, "" for none.
+        found: what their common fit says of each where one is believed, (n,) and (n, n) in prior deviations.
     """
 
     first: str
     chances: dict[str, float]
     name: str
+    found: dict[str, tuple[Array, Array]]
 
 
 @dataclass(frozen=True)
@@ -74,21 +81,33 @@ class EffectsBeside:
             share: of all work that is done when it begins.
         """
         first = max((effect.NAME for effect in self.effects), key=lambda name: probable.get(name, 0.0))
-        found = self.beside(first, share)
-        name = _believed(found, settings)
+        probable, fits = self.beside(first, share)
+        name = _believed(probable, settings)
         # What the base model has is missing without it: else it would not be there.
         both = first in self.base.names
-        if name and not both and _believed(self.beside(name, share, only=first), settings) != first:
+        if name and not both and _believed(self.beside(name, share, only=first)[0], settings) != first:
             name = ""
-        return SecondEffect(first, found, name)
+        return SecondEffect(first, probable, name, self._of_each(fits[name]) if name else {})
 
-    def beside(self, first: str, share: float, only: str | None = None) -> dict[str, float]:
+    def _of_each(self, fit: JointFit) -> dict[str, tuple[Array, Array]]:
+        """Coefficients of every effect in the first clip, and their covariance."""
+        by_name = {effect.NAME: effect for effect in (*self.stages.model.fitting.usual, *self.effects)}
+        layout = self.stages.model.fitting.layout([by_name[name] for name in fit.names])
+        places = zip(fit.names, layout.coefficients(0), strict=True)
+        return {name: (fit.coefficients[p], fit.covariance[np.ix_(p, p)]) for name, p in places}
+
+    def beside(
+        self, first: str, share: float, only: str | None = None
+    ) -> tuple[dict[str, float], dict[str, JointFit]]:
         """Probabilities of effects once one of them acts, and of none beside it, most probable first.
 
         Args:
             first: the one that acts.
             share: of all work that is done when it begins.
             only: the one that is asked about; None for all others.
+
+        Returns:
+            They, and the fits of both effects by the name of the second one.
         """
         by_name = {effect.NAME: effect for effect in self.effects}
         with_first = self._with(by_name[first], share)
@@ -118,7 +137,7 @@ class EffectsBeside:
             for name, fit in fits.items()
         }
         found = chances(MotionEvidence(errors, within, self.learned, {}, sizes, freed), self.weights)
-        return dict(sorted(found.items(), key=lambda item: -item[1]))
+        return dict(sorted(found.items(), key=lambda item: -item[1])), fits
 
     def _with(self, effect: Effect, share: float) -> JointFit:
         """The model with one effect, simulated."""

@@ -17,7 +17,7 @@ from toile.diagnosis.decision import UNKNOWN, Calibration
 from toile.diagnosis.effect_evidence import EffectEvidence
 from toile.diagnosis.effect_sensitivities import FORCES
 from toile.diagnosis.effect_size import Displacement, displacement
-from toile.diagnosis.findings import estimates
+from toile.diagnosis.findings import estimates, finding
 from toile.diagnosis.fingerprint import fingerprint
 from toile.diagnosis.gap_maps import stage_shares
 from toile.diagnosis.joint_fit import JointFit
@@ -292,6 +292,12 @@ def _report(
     verdict = _of_class(verdict, evidence.chances, classes, settings)
     second = found.second
     if second is not None and second.name:
+        # Sizes of causes from outside are known where the forces within the cloth are free.
+        for name, (mean, covariance) in second.found.items():
+            if name in evidence.findings and name not in evidence.motion.outside:
+                log_evidence = evidence.findings[name].log_evidence
+                of_both = finding(by_name[name], log_evidence, mean, evidence.scale * covariance)
+                evidence.findings[name] = of_both
         acts = sum(p for name, p in evidence.chances.items() if name in found.fits)
         verdict = of_two(verdict, second.first, second.name, acts * second.chances[second.name])
     if len(found.clips) > 1:

@@ -190,6 +190,21 @@ def when_moved(report: GapReport) -> str:
     )
 
 
+def what_acts_beside(report: GapReport) -> str:
+    """What moves the cloth beside the most probable effect on the motion; "" where that was not asked."""
+    session = report.session
+    if session is None or not session.beside:
+        return ""
+    name, probability = max(session.beside.items(), key=lambda item: item[1])
+    first, sure = plain_name(session.moved_by), percent(probability)
+    if name == NONE:
+        return f"Once {first} acts, no other effect is missing in the motion: {sure}{mark(report)}."
+    text = f"Once {first} acts, {plain_name(name)} has {sure}{mark(report)}"
+    nothing = percent(session.beside.get(NONE, 0.0))
+    said = "both are the answer" if report.verdict.also == name else "not enough to name it"
+    return f"{text}, that nothing else is missing {nothing}: {said}."
+
+
 def beats_placebo(shrink: Shrink) -> bool:
     """Whether the lower end of the interval is above the best placebo, and above nothing."""
     return shrink.low > max(0.0, shrink.best_placebo or 0.0)

@@ -71,6 +71,10 @@ def test_two_effects_are_found_together(tmp_path: Path) -> None:
     assert found.chances[found.name] == next(iter(found.chances.values())) > 0.9
     assert sum(found.chances.values()) == pytest.approx(1.0)
     assert found.first not in found.chances
+    mean, covariance = found.found["air_drag"]
+    # A part of it is taken for quadratic.
+    assert 0.5 * 2.0 < mean[0] * drag(0.0).scales[0] < 1.1 * 2.0
+    assert covariance.shape == (len(mean), len(mean))
 
 
 @pytest.mark.parametrize("acting", [drag(1.2), UNEVEN])

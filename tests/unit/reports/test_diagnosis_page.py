@@ -41,6 +41,7 @@ from toile.reports.diagnosis_wording import (
     frame_ranges,
     percent,
     shrinkage,
+    what_acts_beside,
     when_moved,
 )
 from toile.reports.page.diagnosis_charts import alias_matrix, alias_order, held_out
@@ -267,6 +268,23 @@ def test_says_when_the_most_probable_effect_moves_the_cloth(report: GapReport) -
     still = dataclasses.replace(report, session=dataclasses.replace(moved, moved=(0.0,)))
     assert "nowhere moves the cloth" in when_moved(still)
     assert when_moved(dataclasses.replace(report, session=session)) == when_moved(report) == ""
+
+
+def test_a_second_effect_is_named_or_said_to_be_none(report: GapReport) -> None:
+    two = Verdict("gusts", ("gusts", "air_drag"), "actuation", 0.95, "Both.", "", also="air_drag")
+    report = dataclasses.replace(report, verdict=two)
+    session = SessionAnswer(("a",), (5,), {}, (), {}, 1.0, moved_by="gusts")
+    beside = dataclasses.replace(session, beside={"air_drag": 0.96, "none": 0.04})
+    both = dataclasses.replace(report, session=beside)
+    assert "Once gusts acts, air drag has 96 %" in words(body(both))
+    assert "nothing else is missing 4 %: both are the answer" in what_acts_beside(both)
+    assert "Not excluded" not in certainty(both)
+    weak = dataclasses.replace(session, beside={"air_drag": 0.6, "none": 0.4})
+    alone = dataclasses.replace(report, verdict=dataclasses.replace(two, also=None), session=weak)
+    assert "not enough to name it" in what_acts_beside(alone)
+    none = dataclasses.replace(session, beside={"none": 0.98, "air_drag": 0.02})
+    assert "no other effect is missing" in what_acts_beside(dataclasses.replace(report, session=none))
+    assert what_acts_beside(dataclasses.replace(report, session=session)) == what_acts_beside(report) == ""
 
 
 def test_words_for_numbers() -> None:
