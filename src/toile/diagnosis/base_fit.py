@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 import torch
@@ -14,7 +15,7 @@ from toile.diagnosis.continuity import Discrepancy, Link, WindowSystem
 from toile.diagnosis.evidence import Evidence
 from toile.diagnosis.positive import positive_factor
 from toile.diagnosis.sensitivities import StepForces
-from toile.diagnosis.shooting import Base, Shooting, WindowMotion
+from toile.diagnosis.shooting import Base, ChangedSimulation, Shooting, WindowMotion
 from toile.effects.base import Effect, Surroundings
 from toile.physics.linearizable import LinearizableSimulator
 from toile.physics.state import State
@@ -24,6 +25,10 @@ Array = NDArray[np.float64]
 
 N_WIND = 2
 """Directions of the wind."""
+
+_SIDE_BY_SIDE = 10
+"""Windows that are simulated as one batch: enough to share what a step costs beside its numbers, few enough
+for several processes to share a clip."""
 
 
 @dataclass(frozen=True)
@@ -142,7 +147,8 @@ def fit_base(
         windows, values = _sweep(shooting, start_positions, material, values, windows, n_frames, report)
     # What was learnt on the way holds for the windows before as well.
     base = base_of(material, values)
-    windows = list(workers.map(lambda w: shooting.simulate(w, w.standardised, base), windows))
+    standardised = [window.standardised for window in windows]
+    windows = simulated_windows(shooting, windows, standardised, base, workers=workers)
     return improved(shooting, windows, material, values, report, passes, workers)
 
 
@@ -282,13 +288,41 @@ def changed_windows(
         workers: share the windows.
     """
     given = shooting.with_effects(effects, around, base)
+    standardised = [
+        window.standardised + change / local_scales(shooting, window.last - window.first)
+        for window, change in zip(windows, changes, strict=True)
+    ]
+    return simulated_windows(shooting, windows, standardised, base, given, workers)
 
-    def changed(item: tuple[WindowMotion, Array]) -> WindowMotion:
-        window, change = item
-        standardised = window.standardised + change / local_scales(shooting, window.last - window.first)
-        return shooting.simulate(window, standardised, base, given)
 
-    return list(workers.map(changed, list(zip(windows, changes, strict=True))))
+def simulated_windows(
+    shooting: Shooting,
+    windows: Sequence[WindowMotion],
+    standardised: Sequence[Array],
+    base: Base,
+    given: ChangedSimulation | None = None,
+    workers: Workers = ALONE,
+) -> list[WindowMotion]:
+    """Windows with these local unknowns, simulated side by side.
+
+    So what a step costs beside its numbers is shared.
+
+    Args:
+        shooting: the problem.
+        windows: see Shooting.simulate_all.
+        standardised: see there.
+        base: see there.
+        given: see there.
+        workers: share them.
+    """
+
+    def of_some(places: range) -> list[WindowMotion]:
+        some = slice(places.start, places.stop)
+        return shooting.simulate_all(windows[some], standardised[some], base, given)
+
+    starts = range(0, len(windows), _SIDE_BY_SIDE)
+    pieces = [range(k, min(k + _SIDE_BY_SIDE, len(windows))) for k in starts]
+    return list(chain.from_iterable(workers.map(of_some, pieces)))
 
 
 def _at_rest(shooting: Shooting, positions: Array) -> State:

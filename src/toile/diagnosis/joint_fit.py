@@ -28,6 +28,7 @@ from toile.diagnosis.base_fit import (
     base_deviations,
     base_of,
     changed_windows,
+    simulated_windows,
     window_bounds,
 )
 from toile.diagnosis.continuity import Discrepancy, Joined, WindowSystem
@@ -35,7 +36,7 @@ from toile.diagnosis.evidence import Evidence
 from toile.diagnosis.mechanics import effect_systems
 from toile.diagnosis.positive import positive_lower
 from toile.diagnosis.refits import acting_with, within_bounds
-from toile.diagnosis.shooting import Base, Shooting, WindowMotion
+from toile.diagnosis.shooting import Shooting, WindowMotion
 from toile.effects.base import Effect, Scope, Surroundings
 from toile.limits import Count, CountOrZero, Fraction, NonNegative, Positive, Unit
 from toile.physics.state import State
@@ -315,10 +316,12 @@ class JointFitting:
         values = np.concatenate((self._values, np.zeros(N_WIND * len(self.clips))))
         layout = self.layout(())
         windows = [
-            list(
-                workers.map(
-                    _Simulated(clip.shooting, base_of(self.start, values[layout.base(c)])), clip.windows
-                )
+            simulated_windows(
+                clip.shooting,
+                clip.windows,
+                [window.standardised for window in clip.windows],
+                base_of(self.start, values[layout.base(c)]),
+                workers=workers,
             )
             for c, clip in enumerate(self.clips)
         ]
@@ -789,15 +792,3 @@ def _predicted(window: WindowMotion, system: WindowSystem, step: Array) -> Windo
     assert system.motion is not None
     moved = (system.motion @ step.astype(np.float32)).reshape(window.positions.shape)
     return replace(window, positions=window.positions + moved)
-
-
-@dataclass(frozen=True)
-class _Simulated:
-    """Simulates a window of a problem with base values; goes from process to process."""
-
-    shooting: Shooting
-    base: Base
-
-    def __call__(self, window: WindowMotion) -> WindowMotion:
-        """The window, simulated."""
-        return self.shooting.simulate(window, window.standardised, self.base)

@@ -25,6 +25,7 @@ from toile.diagnosis.session_stages import HypothesisStages, RefinedMotion
 from toile.diagnosis.session_weights import MotionEvidence, SessionWeights, chances
 from toile.diagnosis.verdict import VerdictSettings, is_clear
 from toile.effects.base import Effect
+from toile.effects.catalogue import WEIGHING
 
 Array = NDArray[np.float64]
 
@@ -120,12 +121,15 @@ class EffectsBeside:
         systems = fitting.systems(considered, with_first, workers)
         fits = fitting.linearised(considered, with_first, systems)
         errors = model.errors(with_first)
-        for effect in promising(with_first, fits, others, errors, 1):
-            stage = self.stages.fit_beside(fitting, effect, first, share)
-            fits[effect.NAME] = self.pipeline.run(stage, self.motion, with_first)
         causes = self.outside.causes
         freed = causes[first].beside if first in causes else {n: c.evidence for n, c in causes.items()}
         freed = {name: one for name, one in freed.items() if name in fits}
+        # Of the others a fit under the law says nothing more.
+        of_law = [e for e in others if e.NAME not in freed or e.NAME in WEIGHING]
+        linear = {effect.NAME: fits[effect.NAME] for effect in of_law}
+        for effect in promising(with_first, linear, of_law, errors, 1):
+            stage = self.stages.fit_beside(fitting, effect, first, share)
+            fits[effect.NAME] = self.pipeline.run(stage, self.motion, with_first)
         sizes = {
             name: causes[name].displacement.last
             if name in causes

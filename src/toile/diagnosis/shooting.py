@@ -121,9 +121,9 @@ class Base:
     material: Array
     wind: Array
 
-    def material_of(self, cloth: Cloth) -> Material:
-        """The material of a cloth of that law, batch of one."""
-        return Material(cloth.energies.parameters, torch.from_numpy(self.material)[None])
+    def material_of(self, cloth: Cloth, n: int = 1) -> Material:
+        """The material of a cloth of that law, batch of ``n``."""
+        return Material(cloth.energies.parameters, torch.from_numpy(self.material).expand(n, -1))
 
 
 @dataclass
@@ -150,6 +150,24 @@ class WindowMotion:
     end: State | None = None
     converged: bool = True
     slower: float = 1.0
+
+
+def _stacked(states: Sequence[State]) -> State:
+    """States of as many steps each as one batch."""
+    return State(
+        torch.cat([state.positions for state in states]),
+        torch.cat([state.velocities for state in states]),
+        torch.cat([state.past for state in states]),
+        states[0].steps,
+    )
+
+
+def _of_batch(state: State, b: int) -> State:
+    """One of a batch, as a batch of one."""
+    of_one = slice(b, b + 1)
+    parts = (part[of_one].clone() for part in (state.positions, state.velocities, state.past))
+    positions, velocities, past = parts
+    return State(positions, velocities, past, state.steps)
 
 
 def cosine_modes(grid: tuple[int, int], n: int) -> Array:
@@ -356,43 +374,85 @@ class Shooting:
             base: stiffness and wind.
             given: the clip with effects, see ``with_effects``; None without any.
         """
-        state, boundary, force = self.local(window, standardised)
+        return self._simulate_alike([window], [standardised], base, given)[0]
+
+    def simulate_all(
+        self,
+        windows: Sequence[WindowMotion],
+        standardised: Sequence[Array],
+        base: Base,
+        given: ChangedSimulation | None = None,
+    ) -> list[WindowMotion]:
+        """The same as ``simulate`` of each, to the last digit; those of one length as one batch.
+
+        Args:
+            windows: in any order.
+            standardised: local unknowns of each.
+            base: see ``simulate``.
+            given: see ``simulate``.
+        """
+        alike: dict[tuple[int, int, int], list[int]] = {}
+        for k, window in enumerate(windows):
+            kind = (window.last - window.first, window.reference.steps, len(window.positions))
+            alike.setdefault(kind, []).append(k)
+        found: dict[int, WindowMotion] = {}
+        for members in alike.values():
+            batch = [windows[k] for k in members]
+            moved = self._simulate_alike(batch, [standardised[k] for k in members], base, given)
+            found.update(zip(members, moved, strict=True))
+        return [found[k] for k in range(len(windows))]
+
+    def _simulate_alike(
+        self,
+        windows: Sequence[WindowMotion],
+        standardised: Sequence[Array],
+        base: Base,
+        given: ChangedSimulation | None,
+    ) -> list[WindowMotion]:
+        """Windows of as many frames each, and of as long a last motion."""
         wind = base.wind @ self.horizontal
-        simulator, forces = (
-            self.simulator,
-            torch.from_numpy(self.masses[:, None] * (self.gravity + wind + self.push + force)),
-        )
-        pinned = torch.from_numpy(boundary)
-        if given is not None:
-            simulator, cloth, total, moved = given
-            forces = total[window.first : window.last] + cloth.masses[:, None] * torch.from_numpy(
-                self.push + force
-            )
-            shift = moved - torch.from_numpy(self.boundary[: len(moved)])
-            pinned = pinned + shift[window.first : window.last + 1]
+        simulator = self.simulator if given is None else given[0]
+        states, every_force, every_pinned = [], [], []
+        for window, own in zip(windows, standardised, strict=True):
+            state, boundary, force = self.local(window, own)
+            forces = torch.from_numpy(self.masses[:, None] * (self.gravity + wind + self.push + force))
+            pinned = torch.from_numpy(boundary)
+            if given is not None:
+                _, cloth, total, moved = given
+                forces = total[window.first : window.last] + cloth.masses[:, None] * torch.from_numpy(
+                    self.push + force
+                )
+                shift = moved - torch.from_numpy(self.boundary[: len(moved)])
+                pinned = pinned + shift[window.first : window.last + 1]
+            states.append(state)
+            every_force.append(forces)
+            every_pinned.append(pinned)
         warm = None
-        if len(window.positions):
-            warm = torch.from_numpy(window.positions)[None]
+        if len(windows[0].positions):
+            warm = torch.from_numpy(np.stack([window.positions for window in windows]))
         motion = rollout(
             simulator,
-            state,
-            base.material_of(simulator.cloth),
-            forces[None],
-            pinned[None],
+            _stacked(states),
+            base.material_of(simulator.cloth, len(windows)),
+            torch.stack(every_force),
+            torch.stack(every_pinned),
             self.substeps,
             warm,
             throw=False,
         )
-        good = all(s.status[0] is StepStatus.CONVERGED for s in motion.steps)
-        return replace(
-            window,
-            standardised=standardised,
-            positions=motion.all_positions[0].numpy(),
-            start=state,
-            end=motion.steps[-1].state,
-            converged=good,
-            slower=simulator.time_step / self.simulator.time_step,
-        )
+        positions, end = motion.all_positions.numpy(), motion.steps[-1].state
+        return [
+            replace(
+                window,
+                standardised=own,
+                positions=positions[b].copy(),
+                start=states[b],
+                end=_of_batch(end, b),
+                converged=all(step.status[b] is StepStatus.CONVERGED for step in motion.steps),
+                slower=simulator.time_step / self.simulator.time_step,
+            )
+            for b, (window, own) in enumerate(zip(windows, standardised, strict=True))
+        ]
 
     def with_effects(
         self, effects: Sequence[Effect], around: Surroundings | None, base: Base
