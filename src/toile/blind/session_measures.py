@@ -211,6 +211,9 @@ def measured_sessions(marks: pd.DataFrame, *, resamplings: int, seed: int) -> pd
     return pd.DataFrame(rows, columns=columns)
 
 
+_SIZE_COLUMNS = ("clips", "generator", "by", "low_edge", "high_edge", "value", "low", "high", "scenes")
+
+
 def by_size(marks: pd.DataFrame) -> pd.DataFrame:
     """Named rightly over size: clips, generator, by, low_edge, high_edge, value, low, high, scenes.
 
@@ -246,7 +249,7 @@ def by_size(marks: pd.DataFrame) -> pd.DataFrame:
                             "scenes": n,
                         }
                     )
-    return pd.DataFrame(found)
+    return pd.DataFrame(found, columns=list(_SIZE_COLUMNS))
 
 
 def reliability(marks: pd.DataFrame) -> pd.DataFrame:

@@ -202,6 +202,13 @@ def test_the_table_of_measures(tmp_path: Path) -> None:
     pd.testing.assert_frame_equal(found, again)
 
 
+def test_a_set_without_single_effects_has_an_empty_curve() -> None:
+    rows = pd.DataFrame({"clips": ["3"], "generator": ["toile"], "kind": ["null"], "of_the_image": [False]})
+    curve = by_size(rows)
+    assert curve.empty
+    assert {"generator", "scenes"} <= set(curve.columns)
+
+
 def test_curves(tmp_path: Path) -> None:
     rows = table(tmp_path)
     curve = by_size(rows).set_index(["clips", "generator", "by", "low_edge"])
