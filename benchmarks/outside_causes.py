@@ -136,7 +136,7 @@ def beside_forces(folder: Path, out: Path) -> dict[str, object]:
     for force in FORCES_TRIED:
         other = copy(fitting)
         other.size = replace(fitting.settings, force=force).size
-        fits = other.linearised(considered, base, systems)
+        fits = other.linearised(considered, base, other.quadratic(considered, base, systems))
         nats = {
             name: EffectEvidence.of(base.misfit - fit.misfit, fit.own, fit.own_covariance, fit.size).nats()
             for name, fit in fits.items()

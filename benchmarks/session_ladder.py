@@ -168,7 +168,7 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
     seconds = sum((clip.n_frames - 1) / clip.problem.scene.fps for clip in clips)
     moving = [effect for effect in effects if isinstance(effect, FORCES)]
     truth_is = cause_of(folder.name)
-    fits = fitting.linearised(moving, base, fitting.systems(moving, base))
+    fits = fitting.linearised(moving, base, fitting.quadratic(moving, base, fitting.systems(moving, base)))
     fits |= {effect.NAME: usual for effect in moving if effect.NAME in usual.names}
     chosen = promising(base, fits, moving, errors, settings.fitted, plain, usual.names)
     # The cause is fitted whatever it promises, so that what it predicts is known.

@@ -464,21 +464,33 @@ class JointFitting:
         layout = self.layout(effects)
         return self._joined(layout, systems, np.zeros(layout.n_base)).fisher(self.size)
 
-    def linearised(
+    def quadratic(
         self, effects: Sequence[Effect], base: JointFit, systems: Sequence[Sequence[WindowSystem]]
+    ) -> Evidence:
+        """What ``linearised`` minimises; the same wherever effects that do nothing yet are reckoned.
+
+        Args:
+            effects: see ``linearised``.
+            base: see there.
+            systems: see there.
+        """
+        layout = self.layout(effects)
+        return self._joined(layout, systems, base.values, self._placed(layout, base).coefficients)
+
+    def linearised(
+        self, effects: Sequence[Effect], base: JointFit, evidence: Evidence
     ) -> dict[str, JointFit]:
         """Every effect at the minimum of the quadratic around the base model; nothing is simulated.
 
         Args:
             effects: that may be added; those of the base model among them, if it has any.
             base: the base model.
-            systems: of every clip around it, see ``systems``.
+            evidence: the quadratic of all these effects around it, see ``quadratic``.
 
         Returns:
             By name; of the base model's effects nothing.
         """
         layout = self.layout(effects)
-        evidence = self._joined(layout, systems, base.values, self._placed(layout, base).coefficients)
         usual, wide = [], []
         for effect, places in zip(effects, layout.places, strict=True):
             if effect.NAME in base.names:

@@ -19,9 +19,9 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from toile.diagnosis.continuity import WindowSystem
 from toile.diagnosis.effect_evidence import EffectEvidence
 from toile.diagnosis.effect_size import Displacement, displacement
+from toile.diagnosis.evidence import Evidence
 from toile.diagnosis.fingerprint import fingerprint
 from toile.diagnosis.hem import Hem
 from toile.diagnosis.joint_fit import JointFit, JointFitting
@@ -157,7 +157,8 @@ def judged(
         workers: share the windows of a clip.
     """
     candidates = [*outside, *fitting.usual]
-    systems = fitting.systems(candidates, base, workers)
+    # Reduced once for all: the windows' own unknowns are most of the work.
+    evidence = fitting.quadratic(candidates, base, fitting.systems(candidates, base, workers))
     by_name = {effect.NAME: effect for effect in outside}
     return OutsideCauses(
         {
@@ -166,9 +167,9 @@ def judged(
                 fit.own,
                 fit.own_covariance,
                 displacement(fitting.clips, fitting.start, fit, width),
-                _beside(fitting, base, by_name[name], candidates, systems),
+                _beside(fitting, base, by_name[name], candidates, evidence),
             )
-            for name, fit in fitting.linearised(candidates, base, systems).items()
+            for name, fit in fitting.linearised(candidates, base, evidence).items()
         },
         float(base.effects[0][0].values[0]),
         len(base.history) - 1,
@@ -181,14 +182,14 @@ def _beside(
     base: JointFit,
     first: Effect,
     candidates: Sequence[Effect],
-    systems: Sequence[Sequence[WindowSystem]],
+    evidence: Evidence,
 ) -> dict[str, EffectEvidence]:
     """Evidence of all other candidates where one of them acts, as strongly as is best beside each."""
     given = fitting.with_usual((*fitting.usual, first))
     with_first = given.with_effect_at_zero(base, first)
     return {
         name: EffectEvidence.of(with_first.misfit - fit.misfit, fit.own, fit.own_covariance, fit.size)
-        for name, fit in given.linearised(candidates, with_first, systems).items()
+        for name, fit in given.linearised(candidates, with_first, evidence).items()
     }
 
 

@@ -119,7 +119,8 @@ class EffectsBeside:
         fitting = model.fitting.with_usual(acting)
         considered = [*others, *acting]
         systems = fitting.systems(considered, with_first, workers)
-        fits = fitting.linearised(considered, with_first, systems)
+        evidence = fitting.quadratic(considered, with_first, systems)
+        fits = fitting.linearised(considered, with_first, evidence)
         errors = model.errors(with_first)
         causes = self.outside.causes
         freed = causes[first].beside if first in causes else {n: c.evidence for n, c in causes.items()}

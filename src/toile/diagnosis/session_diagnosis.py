@@ -164,7 +164,8 @@ def diagnose_session(
     candidates = {effect.NAME for effect in moving}
     considered = [*moving, *(e for e in model.fitting.usual_in(base) if e.NAME not in candidates)]
     systems = model.fitting.systems(considered, base, workers)
-    fits = model.fitting.linearised(considered, base, systems)
+    quadratic = model.fitting.quadratic(considered, base, systems)
+    fits = model.fitting.linearised(considered, base, quadratic)
     fits |= {name: usual for name in usual.names if name in candidates}
     errors = model.errors(base)
     chosen = promising(base, fits, moving, errors, together.fitted, plain, usual.names)
@@ -206,11 +207,11 @@ def diagnose_session(
     evidence.motion.write(folder / EVIDENCE_FILE)
     scale = evidence.scale
     alias = session_alias(model.fitting, considered, systems, weights.threshold, scale)
+    simulated = {effect.NAME: fits[effect.NAME] for effect in chosen}
     second: SecondEffect | None = None
     if sum(evidence.chances.get(effect.NAME, 0.0) for effect in moving) >= settings.verdict.named:
         # Something moves the cloth, whichever it is.
         progress("what acts beside the most probable effect", 0.89)
-        simulated = {effect.NAME: fits[effect.NAME] for effect in chosen}
         beside = EffectsBeside(pipeline, stages, motion, base, simulated, moving, outside, learned, weights)
         second = beside.second(evidence.chances, settings.verdict, 0.89)
     gains: dict[str, float] = {}
@@ -233,7 +234,7 @@ def diagnose_session(
         )
     progress("prediction of the clip that is left out", 0.95)
     ahead = max(2, round(together.ahead * problems[-1].scene.fps / 25))
-    best = [name for name in evidence.chances if name in {e.NAME for e in chosen}][: together.refined]
+    best = [name for name in evidence.chances if name in simulated][: together.refined]
     left_out = left_out_shrinks(
         model.fitting,
         model.left_out,
@@ -274,13 +275,12 @@ def _report(
     folder: Path,
 ) -> GapReport:
     evidence, by_name = found.evidence, {effect.NAME: effect for effect in effects}
+    findings = dict(evidence.findings)
     distances = _distances(found)
     _write(folder / VERTICES_FILE, np.concatenate(distances).mean(0))
     _write(folder / FRAMES_FILE, np.concatenate(distances).astype(np.float32))
     classes = tuple(c for c in found.alias.classes(together.alike) if len(c) > 1)
-    image_evidence = {
-        name: one.log_evidence for name, one in evidence.findings.items() if name not in found.fits
-    }
+    image_evidence = {name: one.log_evidence for name, one in findings.items() if name not in found.fits}
     verdict = verdict_of(
         evidence.chances,
         image_evidence,
@@ -294,10 +294,9 @@ def _report(
     if second is not None and second.name:
         # Sizes of causes from outside are known where the forces within the cloth are free.
         for name, (mean, covariance) in second.found.items():
-            if name in evidence.findings and name not in evidence.motion.outside:
-                log_evidence = evidence.findings[name].log_evidence
-                of_both = finding(by_name[name], log_evidence, mean, evidence.scale * covariance)
-                evidence.findings[name] = of_both
+            if name in findings and name not in evidence.motion.outside:
+                log_evidence, wide = findings[name].log_evidence, evidence.scale * covariance
+                findings[name] = finding(by_name[name], log_evidence, mean, wide)
         acts = sum(p for name, p in evidence.chances.items() if name in found.fits)
         verdict = of_two(verdict, second.first, second.name, acts * second.chances[second.name])
     if len(found.clips) > 1:
@@ -310,7 +309,7 @@ def _report(
         if gain >= _LEAST_GAIN:
             following = best
             verdict = replace(verdict, next_recording=f"another clip, {best}: {MOTIONS[best]}")
-    scores = {name: max(one.log_evidence, 0.0) for name, one in evidence.findings.items()}
+    scores = {name: max(one.log_evidence, 0.0) for name, one in findings.items()}
     mean = np.concatenate(distances).mean((1, 2))
     drops = {**image_evidence, **evidence.drops}
     # What may be moving the cloth, even where that may as well be nothing.
@@ -328,11 +327,11 @@ def _report(
                 name,
                 STAGES[name].value,
                 chance,
-                estimates(evidence.findings[name], by_name[name], settings.widened),
+                estimates(findings[name], by_name[name], settings.widened),
                 found.left_out.shrinks.get(name),
             )
             for name, chance in evidence.chances.items()
-            if name in evidence.findings
+            if name in findings
         ),
         found.alias,
         Protocol(

@@ -415,9 +415,10 @@ class Shooting:
         states, every_force, every_pinned = [], [], []
         for window, own in zip(windows, standardised, strict=True):
             state, boundary, force = self.local(window, own)
-            forces = torch.from_numpy(self.masses[:, None] * (self.gravity + wind + self.push + force))
             pinned = torch.from_numpy(boundary)
-            if given is not None:
+            if given is None:
+                forces = torch.from_numpy(self.masses[:, None] * (self.gravity + wind + self.push + force))
+            else:
                 _, cloth, total, moved = given
                 forces = total[window.first : window.last] + cloth.masses[:, None] * torch.from_numpy(
                     self.push + force

@@ -118,7 +118,9 @@ def answer(report: GapReport) -> str:
         if len(names) > _NAMED + 1:
             names = [*names[:_NAMED], f"one of {len(names) - _NAMED} others"]
         text = listed(names, "or")
-        return f"{text[:1].upper()}{text[1:]}: this clip cannot tell."
+        several = report.session is not None and len(report.session.clips) > 1
+        who = "these clips" if several else "this clip"
+        return f"{text[:1].upper()}{text[1:]}: {who} cannot tell."
     names = [spoken(verdict.effect), *([spoken(verdict.also)] if verdict.also else [])]
     return f"The gap is {listed(names, 'and')}."
 
@@ -198,11 +200,11 @@ def what_acts_beside(report: GapReport) -> str:
     name, probability = max(session.beside.items(), key=lambda item: item[1])
     first, sure = plain_name(session.moved_by), percent(probability)
     if name == NONE:
-        return f"Once {first} acts, no other effect is missing in the motion: {sure}{mark(report)}."
-    text = f"Once {first} acts, {plain_name(name)} has {sure}{mark(report)}"
+        return f"Beside {first} no other effect shows in the motion: {sure}{mark(report)}."
     nothing = percent(session.beside.get(NONE, 0.0))
-    said = "both are the answer" if report.verdict.also == name else "not enough to name it"
-    return f"{text}, that nothing else is missing {nothing}: {said}."
+    text = f"Beside {first}: {plain_name(name)} {sure}, nothing else {nothing}{mark(report)}"
+    said = "Both are the answer" if report.verdict.also == name else "Not enough to name a second effect"
+    return f"{text}. {said}."
 
 
 def beats_placebo(shrink: Shrink) -> bool:

@@ -287,7 +287,9 @@ class TestCausesFromOutside:
         base = free.fitted(free.usual, free.start_fit())
         bound = JointFitting([joint_clip(problem, around, FRAMES)], STIFFNESS, np.zeros(3))
         of_law = bound.fitted((), bound.start_fit())
-        linear = bound.linearised(candidates, of_law, bound.systems(candidates, of_law))
+        linear = bound.linearised(
+            candidates, of_law, bound.quadratic(candidates, of_law, bound.systems(candidates, of_law))
+        )
         return judged(free, base, 0.3, candidates), of_law.misfit - linear["nonuniform_density"].misfit
 
     @pytest.mark.parametrize(
@@ -336,7 +338,9 @@ class TestUsualEffects:
         candidates = [drag(0.0), CATALOGUE["internal_damping"]()]
         gains = []
         for base in (plain, usual):
-            found = fitting.linearised(candidates, base, fitting.systems(candidates, base))
+            found = fitting.linearised(
+                candidates, base, fitting.quadratic(candidates, base, fitting.systems(candidates, base))
+            )
             assert ("internal_damping" in found) is (base is plain)
             gains.append(base.misfit - found["air_drag"].misfit)
         assert gains[0] > 5 * max(gains[1], 1.0)
@@ -347,7 +351,7 @@ class TestUsualEffects:
         fitting, _, usual = damped
         alone = [drag(0.0)]
         with pytest.raises(ValueError, match="internal_damping"):
-            fitting.linearised(alone, usual, fitting.systems(alone, usual))
+            fitting.linearised(alone, usual, fitting.quadratic(alone, usual, fitting.systems(alone, usual)))
 
     def test_a_hypothesis_keeps_their_coefficients_apart_from_its_own(
         self, damped: tuple[JointFitting, JointFit, JointFit]
@@ -360,7 +364,9 @@ class TestUsualEffects:
         assert (fit.n_usual, len(fit.own)) == (2, 3)
         assert fit.own_covariance == pytest.approx(fit.covariance[2:, 2:])
         candidates = [drag(0.0), CATALOGUE["internal_damping"]()]
-        linear = fitting.linearised(candidates, usual, fitting.systems(candidates, usual))["air_drag"]
+        linear = fitting.linearised(
+            candidates, usual, fitting.quadratic(candidates, usual, fitting.systems(candidates, usual))
+        )["air_drag"]
         assert (linear.n_usual, linear.names) == (2, fit.names)
         assert linear.coefficients[:2] == pytest.approx(usual.coefficients)
 

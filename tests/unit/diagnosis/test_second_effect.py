@@ -55,8 +55,8 @@ def second(folder: Path, *acting: Effect) -> SecondEffect:
     plain = pipeline.run(
         PipelineStage("plain", "plain.npz", "plain", 0.0, JointFit, lambda: base),
     )
-    systems = fitting.systems(CANDIDATES, plain)
-    found = fitting.linearised(CANDIDATES, plain, systems)
+    evidence = fitting.quadratic(CANDIDATES, plain, fitting.systems(CANDIDATES, plain))
+    found = fitting.linearised(CANDIDATES, plain, evidence)
     drops = {name: plain.misfit - fit.misfit for name, fit in found.items()}
     probable = dict.fromkeys((NONE, *drops), 0.0) | {max(drops, key=lambda name: drops[name]): 0.6}
     beside = EffectsBeside(
@@ -87,14 +87,14 @@ def test_one_effect_is_not_taken_for_two(tmp_path: Path, acting: Effect) -> None
 def test_what_two_effects_gain_does_not_hang_on_their_order() -> None:
     """The quadratic has one minimum for both: first gain and second gain add up to the same."""
     fitting, base = fitted(drag(1.2))
-    systems = fitting.systems(CANDIDATES, base)
-    alone = fitting.linearised(CANDIDATES, base, systems)
+    evidence = fitting.quadratic(CANDIDATES, base, fitting.systems(CANDIDATES, base))
+    alone = fitting.linearised(CANDIDATES, base, evidence)
     one, other = CANDIDATES[1:]
 
     def gains(first: Effect, then: Effect) -> float:
         given = fitting.with_usual((first,))
         with_first = given.with_effect_at_zero(base, first)
-        beside = given.linearised(CANDIDATES, with_first, systems)[then.NAME]
+        beside = given.linearised(CANDIDATES, with_first, evidence)[then.NAME]
         return 2 * base.misfit - alone[first.NAME].misfit - beside.misfit
 
     assert gains(one, other) == pytest.approx(gains(other, one), rel=1e-6)

@@ -122,6 +122,9 @@ def test_ambiguity_names_the_candidates_and_what_to_record(report: GapReport) ->
     )
     perhaps = dataclasses.replace(AMBIGUITY, candidates=("air_drag", NONE))
     assert answer(answered(report, perhaps)) == "Air drag or nothing at all: this clip cannot tell."
+    two = SessionAnswer(("a", "b"), (5, 5), {}, (), {}, 1.0)
+    said = answer(dataclasses.replace(answered(report, perhaps), session=two))
+    assert said == "Air drag or nothing at all: these clips cannot tell."
     # What is no effect has its share as well: the numbers add up to what they hold together.
     assert "air drag 93 %, nothing missing 3 %" in certainty(answered(report, perhaps))
 
@@ -276,14 +279,14 @@ def test_a_second_effect_is_named_or_said_to_be_none(report: GapReport) -> None:
     session = SessionAnswer(("a",), (5,), {}, (), {}, 1.0, moved_by="gusts")
     beside = dataclasses.replace(session, beside={"air_drag": 0.96, "none": 0.04})
     both = dataclasses.replace(report, session=beside)
-    assert "Once gusts acts, air drag has 96 %" in words(body(both))
-    assert "nothing else is missing 4 %: both are the answer" in what_acts_beside(both)
+    assert "Beside gusts: air drag 96 %, nothing else 4 %" in words(body(both))
+    assert "Both are the answer" in what_acts_beside(both)
     assert "Not excluded" not in certainty(both)
     weak = dataclasses.replace(session, beside={"air_drag": 0.6, "none": 0.4})
     alone = dataclasses.replace(report, verdict=dataclasses.replace(two, also=None), session=weak)
-    assert "not enough to name it" in what_acts_beside(alone)
+    assert "Not enough to name a second effect" in what_acts_beside(alone)
     none = dataclasses.replace(session, beside={"none": 0.98, "air_drag": 0.02})
-    assert "no other effect is missing" in what_acts_beside(dataclasses.replace(report, session=none))
+    assert "no other effect shows" in what_acts_beside(dataclasses.replace(report, session=none))
     assert what_acts_beside(dataclasses.replace(report, session=session)) == what_acts_beside(report) == ""
 
 
