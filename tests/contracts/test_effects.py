@@ -72,6 +72,8 @@ VARIANTS = {
     "contact with a sphere": lambda values: Contact(OBSTACLES["sphere"], values),
     "contact with a mesh": lambda values: Contact(OBSTACLES["mesh"], values),
     "gusts of two modes": lambda values: Gusts(values, n_modes=2),
+    "density in detail": lambda values: CATALOGUE["nonuniform_density"](values, half_waves=3),
+    "curvature in detail": lambda values: CATALOGUE["rest_curvature"](values, half_waves=2),
 }
 MECHANICAL = VertexEffect | ElementEffect | ForceEffect | MassEffect | BoundaryEffect | TimeEffect
 
@@ -345,6 +347,33 @@ def test_a_number_of_modes_that_was_asked_for_stays():
         assert gusts.for_clip(1.58) is gusts
     with pytest.raises(InputError, match="no such parameter"):
         Gusts({"x_4": 1.0}, n_modes=3)
+
+
+FIELDS = {"nonuniform_density": 15, "nonuniform_stiffness": 15, "rest_curvature": 10}
+
+
+@pytest.mark.parametrize("name", FIELDS)
+def test_fields_in_detail_begin_as_they_were(name):
+    usual = CATALOGUE[name]()
+    usual = usual.with_values(some_values(usual))
+    finer = usual.in_detail()
+    assert len(finer.parameters) == len(finer.values) == FIELDS[name]
+    for parameter, value in zip(usual.parameters, usual.values, strict=True):
+        assert finer.value(parameter.name) == value
+    motions = [simulate([one])[1].positions for one in (usual, finer)]
+    torch.testing.assert_close(*motions, rtol=0, atol=1e-12)
+    assert finer.in_detail().parameters == finer.parameters
+
+
+@pytest.mark.parametrize("name", FIELDS)
+def test_half_waves_that_were_asked_for_stay(name):
+    listed = OmegaConf.load(CONF / "effect" / f"{name}.yaml")[name]
+    assert len(instantiate(listed).in_detail().parameters) == FIELDS[name]
+    one = instantiate({**listed, "half_waves": 1})
+    assert one.in_detail() is one
+    assert len(one.parameters) == {"rest_curvature": 4}.get(name, 3)
+    with pytest.raises(InputError, match="no such parameter"):
+        CATALOGUE[name]({"mode_33": 1.0, "axis_1_4": 1.0}, half_waves=1)
 
 
 def test_all_mechanical_effects_at_once():

@@ -189,6 +189,28 @@ def test_strip_settles_to_its_natural_curvature(axis, sign):
     assert math.copysign(1.0, float(line[-1, 2])) == sign * up
 
 
+@pytest.mark.parametrize("axis", [0, 1])
+def test_strip_settles_to_a_curvature_that_varies_along_it(axis):
+    """Clamped at one end: at every vertex it turns by κ(u) L, κ(u) = 3 + 6 cos(2πu), of either sign."""
+    n, length = 13, 0.3
+    grid, size = ((n, 3), (length, 0.05)) if axis == 0 else ((3, n), (0.05, length))
+    index = torch.arange(3 * n).reshape(grid)
+    pinned = (index[:2] if axis == 0 else index[:, :2]).reshape(-1)
+    cloth = grid_cloth(grid, size, 0.2, tuple(pinned.tolist()))
+    material = grid_material(one(80.0), one(3e-4), one(3e-4))
+    x = flat(grid, size)
+    fold = RestCurvature({f"axis_{axis}": 3.0, f"axis_{axis}_2": 6.0}, half_waves=2)
+    terms = [fold, AirDrag({"linear": 4.0})]
+    end = move(cloth, x, 0 * x, 0.02, 400, vector(0, 0, 0), terms, material=material)[0, -1]
+    line = (end.reshape(*grid, 3)[:, 1] if axis == 0 else end.reshape(*grid, 3)[1]).diff(dim=0)
+    along = 1 - axis
+    heading = torch.atan2(line[:, 2], line[:, along])
+    up = float(vertex_normals(x[0], grid_faces(*grid))[0, 2])
+    u = torch.linspace(0, 1, n, dtype=torch.float64)[1:-1]
+    expected = (3.0 + 6.0 * torch.cos(2 * torch.pi * u)) * length / (n - 1)
+    torch.testing.assert_close(math.copysign(1.0, up) * heading.diff(), expected, rtol=0.02, atol=2e-4)
+
+
 def test_rest_curvature_pulls_without_net_force_or_torque():
     x = flat(GRID, SIZE)[0]
     x = x + torch.stack((0 * x[:, 0], 0 * x[:, 0], 0.03 * torch.sin(20 * x[:, 1] + 3 * x[:, 0])), -1)

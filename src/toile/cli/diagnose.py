@@ -349,7 +349,7 @@ def session_problem(cfg: DictConfig) -> SessionProblem:
         )
     scenes = [clip.reconstruction.scene for clip in clips]
     longest = max((scene.n_frames - 1) / scene.fps for scene in scenes)
-    effects = tuple(effect.for_clip(longest) for effect in clips[0].effects)
+    effects = tuple(effect.for_clip(longest).in_detail() for effect in clips[0].effects)
     clips = [replace(clip, effects=effects) for clip in clips]
     return SessionProblem(tuple(clips), session, instantiate(cfg.session_model), int(cfg.workers))
 

@@ -252,8 +252,10 @@ class SessionAnswer:
         moved_by: the most probable of the effects that move the cloth, "" in files of before.
         moved: mean distance by which that effect moves the cloth in every frame of the first clip, all else
             equal [widths]; () where it is not known.
-        beside: probabilities of every other effect that moves the cloth, NONE among them, once ``moved_by``
+        beside: probabilities of every other effect that moves the cloth, NONE among them, once ``first``
             acts; {} where it was not asked, as nothing may be moving it.
+        first: effect that ``beside`` is asked of, "" for ``moved_by``: another one that is level with it.
+        second: effect that moves the cloth beside ``first`` and is believed, "" for none.
     """
 
     clips: tuple[str, ...]
@@ -267,6 +269,8 @@ class SessionAnswer:
     moved_by: str = ""
     moved: tuple[float, ...] = ()
     beside: dict[str, Fraction] = field(default_factory=dict)
+    first: str = ""
+    second: str = ""
 
 
 @dataclass(frozen=True)

@@ -32,10 +32,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SecondEffect:
-    """What acts beside the most probable effect.
+    """What acts beside the most probable effect, or beside one that is level with it.
 
     Attributes:
-        first: the most probable effect.
+        first: that effect.
         chances: of all others beside it, NONE among them, most probable first.
         name: of the one that is believed, "" for none.
         found: what their common fit says of each where one is believed, (n,) and (n, n) in prior deviations.
@@ -76,12 +76,25 @@ class EffectsBeside:
     def second(self, probable: Mapping[str, float], settings: VerdictSettings, share: float) -> SecondEffect:
         """What acts beside the most probable of the effects.
 
+        Where the next one is level with it, and nothing acts beside the first, it is asked beside that one
+        as well: two effects that share what speaks for them may both have less than their rival.
+
         Args:
             probable: probabilities of hypotheses with one effect.
             settings: from which probability on an effect is believed.
             share: of all work that is done when it begins.
         """
-        first = max((effect.NAME for effect in self.effects), key=lambda name: probable.get(name, 0.0))
+        names = sorted((e.NAME for e in self.effects), key=lambda name: -probable.get(name, 0.0))
+        first, *rivals = names
+        found = self._beside_first(first, settings, share)
+        near = settings.ahead * probable.get(rivals[0], 0.0) >= probable.get(first, 0.0) if rivals else False
+        if found.name or not near:
+            return found
+        of_rival = self._beside_first(rivals[0], settings, share)
+        return of_rival if of_rival.name else found
+
+    def _beside_first(self, first: str, settings: VerdictSettings, share: float) -> SecondEffect:
+        """What acts beside an effect."""
         probable, fits = self.beside(first, share)
         name = _believed(probable, settings)
         # What the base model has is missing without it: else it would not be there.

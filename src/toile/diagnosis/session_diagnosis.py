@@ -354,6 +354,8 @@ def _report(
             moving,
             tuple(moved) if np.isfinite(moved).all() else (),
             {} if second is None else second.chances,
+            "" if second is None else second.first,
+            "" if second is None else second.name,
         ),
     )
 

@@ -262,7 +262,8 @@ class MotionEvidence:
 
         A density is both. What is known of it with the forces within the cloth free falls with every force
         that these are given, as that of an uneven stiffness does, so an error of the law may pass for it
-        there; and under a law another may. It has the lesser of the two odds, and rivals within the cloth.
+        there; and under a law another may. So it has the odds that it has among its rivals under the law, as
+        far as the clips show it with the forces within the cloth free; the rest is none.
         """
         both = {name for name in WEIGHING if name in self.outside and name in self.effects}
         within = [name for name in self.effects if name not in self.outside or name in both]
@@ -275,8 +276,9 @@ class MotionEvidence:
             name: (_nats(evidence, 1.0) - weights.outside_threshold) / weights.outside_temperature
             for name, evidence in self.outside.items()
         }
-        odds |= {name: min(odds[name], freed[name]) for name in both}
-        none = [0.0]
+        none = [odds[name] - float(np.logaddexp(0.0, freed[name])) for name in sorted(both)]
+        odds |= {name: odds[name] - float(np.logaddexp(0.0, -freed[name])) for name in both}
+        none.append(0.0)
         for name, value in odds.items():
             if name in self.usual:
                 # Rivals are fitted beside it: its evidence, against a model without, is not to be set against

@@ -126,6 +126,10 @@ class Effect(ABC):
         """
         return self
 
+    def in_detail(self) -> Self:
+        """The same effect with the finer fields that a session can tell apart; itself for most effects."""
+        return self
+
     def value(self, name: str) -> Tensor:
         """One parameter, ()."""
         return self.values[[parameter.name for parameter in self.parameters].index(name)]

@@ -2,31 +2,98 @@
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Mapping, Sequence
+from typing import ClassVar, Self
+
 import torch
 from torch import Tensor
 
-from toile.effects.base import Parameter
+from toile.effects.base import Effect, Parameter
 from toile.errors import InputError
+from toile.limits import Count
 from toile.physics.cloth import Cloth
 
 # Half waves along grid axis 0 and 1. All have zero mean over the area.
 MODES = ((1, 0), (0, 1), (1, 1), (2, 0), (0, 2))
 
+IN_DETAIL = 3
+"""Half waves along an axis that resolve a third of the cloth: a print, a wet spot, a worn place."""
 
-def mode_parameters(low: float, high: float, scale: float, what: str) -> tuple[Parameter, ...]:
-    """One parameter per mode, a pure number."""
+
+def modes_up_to(half_waves: int) -> tuple[tuple[int, int], ...]:
+    """All modes of up to so many half waves along each axis, the longest waves first."""
+    upto = range(half_waves + 1)
     return tuple(
-        Parameter(f"mode_{p}{q}", "1", low, high, scale, f"{what}, {p} half waves along axis 0, {q} along 1")
-        for p, q in MODES
+        sorted(((p, q) for p in upto for q in upto if p + q), key=lambda mode: (sum(mode), -mode[0]))
     )
 
 
-def cosine_modes(cloth: Cloth) -> Tensor:
-    """Modes cos(pπu) cos(qπv) at the vertices, (N, 5), u and v from 0 to 1 along grid axis 0 and 1."""
+def mode_parameters(
+    low: float, high: float, scale: float, what: str, modes: Sequence[tuple[int, int]] = MODES
+) -> tuple[Parameter, ...]:
+    """One parameter per mode, a pure number."""
+    return tuple(
+        Parameter(f"mode_{p}{q}", "1", low, high, scale, f"{what}, {p} half waves along axis 0, {q} along 1")
+        for p, q in modes
+    )
+
+
+def cosine_modes(cloth: Cloth, modes: Sequence[tuple[int, int]] = MODES) -> Tensor:
+    """Modes cos(pπu) cos(qπv) at the vertices, (N, n), u and v from 0 to 1 along grid axis 0 and 1."""
     if cloth.grid is None:
         raise InputError(
             "smooth modes need a cloth on a grid", where="cloth", expected="a grid", got="a general mesh"
         )
     u, v = (torch.linspace(0, torch.pi, n, dtype=torch.float64) for n in cloth.grid)
-    modes = [torch.cos(p * u)[:, None] * torch.cos(q * v)[None, :] for p, q in MODES]
-    return torch.stack(modes, -1).reshape(-1, len(MODES))
+    found = [torch.cos(p * u)[:, None] * torch.cos(q * v)[None, :] for p, q in modes]
+    return torch.stack(found, -1).reshape(-1, len(modes))
+
+
+class SmoothField(Effect):
+    """An effect whose values are amplitudes of smooth modes over the cloth.
+
+    Args:
+        values: see Effect.
+        half_waves: along each axis, of the shortest mode; None for the five longest modes, or as many as
+            ``in_detail`` takes.
+
+    Raises:
+        InputError: there are no modes, or values of others.
+    """
+
+    ALONG_EACH: ClassVar[tuple[float, float, float, str]]
+    """Lowest and highest amplitude, its prior deviation, and what it is an amplitude of."""
+
+    def __init__(self, values: Mapping[str, float] | None = None, half_waves: Count | None = None) -> None:
+        if half_waves is not None and half_waves < 1:
+            raise InputError(
+                f"{self.NAME}: too few modes",
+                where=f"effect={self.NAME}",
+                expected="half_waves >= 1",
+                got=str(half_waves),
+            )
+        self._given = half_waves is not None
+        self.modes = MODES if half_waves is None else modes_up_to(half_waves)
+        # The configuration file lists the usual modes, also where fewer are asked for.
+        listed = {p.name for p in self.PARAMETERS} - {p.name for p in self.parameters}
+        super().__init__({n: v for n, v in (values or {}).items() if v != 0 or n not in listed})
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """See Effect."""
+        return mode_parameters(*self.ALONG_EACH, self.modes)
+
+    def in_detail(self) -> Self:
+        """See Effect: three half waves along each axis where no number of them was given."""
+        if self._given:
+            return self
+        other = copy.copy(self)
+        other.modes = modes_up_to(IN_DETAIL)
+        values = self.values.new_zeros(len(other.modes))
+        values[[other.modes.index(mode) for mode in self.modes]] = self.values
+        return other.with_values(values)
+
+    def field(self, cloth: Cloth) -> Tensor:
+        """The field at the vertices (N,)."""
+        return cosine_modes(cloth, self.modes) @ self.values

@@ -8,10 +8,10 @@ import torch
 from torch import Tensor
 
 from toile.effects.base import MassEffect, Parameter, Stage, Surroundings
-from toile.effects.modes import cosine_modes, mode_parameters
+from toile.effects.modes import SmoothField, mode_parameters
 
 
-class NonuniformDensity(MassEffect):
+class NonuniformDensity(SmoothField, MassEffect):
     """Density times exp(Σ a_m c_m) with smooth cosine modes c_m of zero mean.
 
     The total mass stays what it is to first order in a_m.
@@ -19,7 +19,8 @@ class NonuniformDensity(MassEffect):
 
     NAME: ClassVar[str] = "nonuniform_density"
     STAGE: ClassVar[Stage] = Stage.MECHANICS
-    PARAMETERS: ClassVar[tuple[Parameter, ...]] = mode_parameters(-1.5, 1.5, 0.3, "logarithm of the density")
+    ALONG_EACH: ClassVar[tuple[float, float, float, str]] = (-1.5, 1.5, 0.3, "logarithm of the density")
+    PARAMETERS: ClassVar[tuple[Parameter, ...]] = mode_parameters(*ALONG_EACH)
     SOURCE: ClassVar[str] = (
         "Ghanem and Spanos, Stochastic Finite Elements: A Spectral Approach, 1991 (expansion of material "
         "fields in few smooth functions; here the Laplacian's eigenmodes with free borders)"
@@ -29,4 +30,4 @@ class NonuniformDensity(MassEffect):
         """See MassEffect."""
         if not self.is_active:
             return masses
-        return masses * torch.exp(cosine_modes(around.cloth) @ self.values)
+        return masses * torch.exp(self.field(around.cloth))

@@ -7,18 +7,19 @@ from typing import ClassVar
 import torch
 
 from toile.effects.base import ElementEffect, Parameter, Stage
-from toile.effects.modes import cosine_modes, mode_parameters
+from toile.effects.modes import SmoothField, mode_parameters
 from toile.physics.elements import Elements
 from toile.physics.step_terms import StepContext
 
 
-class NonuniformStiffness(ElementEffect):
+class NonuniformStiffness(SmoothField, ElementEffect):
     """All three stiffnesses times exp(Σ a_m c_m) with smooth cosine modes c_m, at every element's centre."""
 
     NAME: ClassVar[str] = "nonuniform_stiffness"
     STAGE: ClassVar[Stage] = Stage.MECHANICS
     past_reach: ClassVar[int] = 0
-    PARAMETERS: ClassVar[tuple[Parameter, ...]] = mode_parameters(-3.0, 3.0, 0.5, "logarithm of stiffness")
+    ALONG_EACH: ClassVar[tuple[float, float, float, str]] = (-3.0, 3.0, 0.5, "logarithm of stiffness")
+    PARAMETERS: ClassVar[tuple[Parameter, ...]] = mode_parameters(*ALONG_EACH)
     SOURCE: ClassVar[str] = (
         "Ghanem and Spanos, Stochastic Finite Elements: A Spectral Approach, 1991 (expansion of material "
         "fields in few smooth functions; here the Laplacian's eigenmodes with free borders)"
@@ -28,7 +29,7 @@ class NonuniformStiffness(ElementEffect):
         """See ElementTerm."""
         if not self.is_active:
             return elements
-        logarithm = cosine_modes(now.cloth) @ self.values
+        logarithm = self.field(now.cloth)
         return elements.scaled(
             **{term.name: torch.exp(logarithm[term.stencil].mean(-1)) for term in now.cloth.energies}
         )

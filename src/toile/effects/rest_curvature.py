@@ -1,8 +1,10 @@
-"""Rest curvature: cloth that wants to roll up (woven tension, ironing, storage on a roll)."""
+"""Rest curvature: cloth that wants to roll up or to fold (woven tension, ironing, storage, creases)."""
 
 from __future__ import annotations
 
-from typing import ClassVar
+import copy
+from collections.abc import Mapping
+from typing import ClassVar, Self
 
 import torch
 from torch import Tensor
@@ -10,8 +12,27 @@ from torch.nn.functional import normalize
 
 from toile.effects.base import Parameter, Stage, VertexEffect
 from toile.errors import InputError
+from toile.limits import CountOrZero
 from toile.physics.cloth import Cloth
 from toile.physics.step_terms import StepContext
+
+IN_DETAIL = 4
+"""Half waves that resolve a quarter of the cloth: a fold."""
+
+
+def _parameters(half_waves: int) -> tuple[Parameter, ...]:
+    means = (
+        Parameter(f"axis_{a}", "1/m", -50.0, 50.0, 5.0, f"natural curvature along grid axis {a}")
+        for a in (0, 1)
+    )
+    varying = (
+        Parameter(
+            f"axis_{a}_{p}", "1/m", -50.0, 50.0, 5.0, f"its variation along grid axis {a}, {p} half waves"
+        )
+        for a in (0, 1)
+        for p in range(1, half_waves + 1)
+    )
+    return (*means, *varying)
 
 
 class RestCurvature(VertexEffect):
@@ -23,18 +44,45 @@ class RestCurvature(VertexEffect):
     where the cloth does not bend within its own plane.
 
     θ > 0 where the cloth curves towards its normal (StepContext.normals), κ = 1 / radius then.
+
+    κ along an axis may vary along it, κ(u) = κ + Σ_p κ_p cos(pπu), u from 0 to 1: what was on a roll is
+    curved everywhere, a fold or a rolled edge in a band.
+
+    Args:
+        values: see Effect.
+        half_waves: of the shortest mode of κ along its axis; None for 0, or as many as ``in_detail`` takes.
+
+    Raises:
+        InputError: values of other modes.
     """
 
     NAME: ClassVar[str] = "rest_curvature"
     STAGE: ClassVar[Stage] = Stage.MECHANICS
-    PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("axis_0", "1/m", -50.0, 50.0, 5.0, "natural curvature along grid axis 0"),
-        Parameter("axis_1", "1/m", -50.0, 50.0, 5.0, "natural curvature along grid axis 1"),
-    )
+    PARAMETERS: ClassVar[tuple[Parameter, ...]] = _parameters(0)
     SOURCE: ClassVar[str] = (
         "Grinspun, Hirani, Desbrun and Schröder, Discrete Shells, SCA 2003 (bending about a "
         "curved rest shape)"
     )
+
+    def __init__(
+        self, values: Mapping[str, float] | None = None, half_waves: CountOrZero | None = None
+    ) -> None:
+        self._given = half_waves is not None
+        self.half_waves = half_waves or 0
+        super().__init__(values)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """See Effect."""
+        return _parameters(self.half_waves)
+
+    def in_detail(self) -> Self:
+        """See Effect: four half waves where no number of them was given."""
+        if self._given or self.half_waves:
+            return self
+        other = copy.copy(self)
+        other.half_waves = IN_DETAIL
+        return other.with_values(torch.cat((self.values, self.values.new_zeros(2 * IN_DETAIL))))
 
     def energy(self, positions: Tensor, now: StepContext) -> Tensor:
         """See VertexTerm."""
@@ -53,11 +101,20 @@ def _curvatures(values: Tensor, cloth: Cloth) -> Tensor:
             "rest curvature needs a cloth on a grid", where="cloth", expected="a grid", got="a general mesh"
         )
     h, w = cloth.grid
-    along_0 = cloth.rest_lengths[: (h - 1) * w].reshape(h - 1, w)
-    along_1 = cloth.rest_lengths[(h - 1) * w :].reshape(h, w - 1)
-    lengths_0 = (along_0[:-1] + along_0[1:]).reshape(-1) / 2
-    lengths_1 = (along_1[:, :-1] + along_1[:, 1:]).reshape(-1) / 2
-    return torch.cat((values[0] * lengths_0, values[1] * lengths_1))
+    edges_0 = cloth.rest_lengths[: (h - 1) * w].reshape(h - 1, w)
+    edges_1 = cloth.rest_lengths[(h - 1) * w :].reshape(h, w - 1)
+    lengths_0 = (edges_0[:-1] + edges_0[1:]).reshape(-1) / 2
+    lengths_1 = (edges_1[:, :-1] + edges_1[:, 1:]).reshape(-1) / 2
+    varying = values[2:].reshape(2, -1)
+    along_0 = values[0] + varying[0] @ _cosines(varying.shape[1], h)
+    along_1 = values[1] + varying[1] @ _cosines(varying.shape[1], w)
+    return torch.cat((along_0.repeat_interleave(w) * lengths_0, along_1.repeat(h) * lengths_1))
+
+
+def _cosines(half_waves: int, n: int) -> Tensor:
+    """cos(pπu) at the inner ones of n vertices along an axis, (half_waves, n - 2)."""
+    u = torch.linspace(0, torch.pi, n, dtype=torch.float64)[1:-1]
+    return torch.cos(torch.arange(1, half_waves + 1, dtype=torch.float64)[:, None] * u)
 
 
 def _angle_gradients(now: StepContext, weights: Tensor) -> Tensor:

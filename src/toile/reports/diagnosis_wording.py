@@ -193,18 +193,21 @@ def when_moved(report: GapReport) -> str:
 
 
 def what_acts_beside(report: GapReport) -> str:
-    """What moves the cloth beside the most probable effect on the motion; "" where that was not asked."""
+    """What moves the cloth beside the effect that it was asked of; "" where that was not asked."""
     session = report.session
     if session is None or not session.beside:
         return ""
     name, probability = max(session.beside.items(), key=lambda item: item[1])
-    first, sure = plain_name(session.moved_by), percent(probability)
+    first, sure = plain_name(session.first or session.moved_by), percent(probability)
     if name == NONE:
         return f"Beside {first} no other effect shows in the motion: {sure}{mark(report)}."
     nothing = percent(session.beside.get(NONE, 0.0))
     text = f"Beside {first}: {plain_name(name)} {sure}, nothing else {nothing}{mark(report)}"
-    said = "Both are the answer" if report.verdict.also == name else "Not enough to name a second effect"
-    return f"{text}. {said}."
+    both = {report.verdict.effect, report.verdict.also} == {session.first or session.moved_by, name}
+    if both:
+        return f"{text}. Both are the answer."
+    believed = "Enough to name a second effect" if session.second else "Not enough to name a second effect"
+    return f"{text}. {believed}."
 
 
 def beats_placebo(shrink: Shrink) -> bool:

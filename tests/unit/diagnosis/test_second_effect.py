@@ -84,6 +84,31 @@ def test_one_effect_is_not_taken_for_two(tmp_path: Path, acting: Effect) -> None
     assert next(iter(found.chances)) == NONE
 
 
+@pytest.mark.parametrize(
+    ("probable", "asked", "first"),
+    [
+        ({"air_drag": 0.5, "gusts": 0.4, NONE: 0.1}, ["air_drag", "gusts"], "gusts"),
+        ({"air_drag": 0.9, "gusts": 0.1, NONE: 0.0}, ["air_drag"], "air_drag"),
+        ({"air_drag": 0.0, "gusts": 0.9, NONE: 0.1}, ["gusts"], "gusts"),
+    ],
+)
+def test_it_is_asked_beside_each_of_two_that_are_level(
+    probable: dict[str, float], asked: list[str], first: str
+) -> None:
+    """Only beside gusts is there anything; that is asked where they are the first, or level with it."""
+    were: list[str] = []
+
+    class Beside(EffectsBeside):
+        def _beside_first(self, first: str, settings: VerdictSettings, share: float) -> SecondEffect:
+            were.append(first)
+            return SecondEffect(first, {}, "internal_damping" if first == "gusts" else "", {})
+
+    two = [CATALOGUE[name]() for name in ("air_drag", "gusts")]
+    beside = Beside(*[None] * 5, two, OutsideCauses({}), None, SessionWeights())  # type: ignore[arg-type]
+    assert beside.second(probable, SETTINGS, 0.5).first == first
+    assert were == asked
+
+
 def test_what_two_effects_gain_does_not_hang_on_their_order() -> None:
     """The quadratic has one minimum for both: first gain and second gain add up to the same."""
     fitting, base = fitted(drag(1.2))

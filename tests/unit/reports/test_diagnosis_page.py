@@ -285,6 +285,11 @@ def test_a_second_effect_is_named_or_said_to_be_none(report: GapReport) -> None:
     weak = dataclasses.replace(session, beside={"air_drag": 0.6, "none": 0.4})
     alone = dataclasses.replace(report, verdict=dataclasses.replace(two, also=None), session=weak)
     assert "Not enough to name a second effect" in what_acts_beside(alone)
+    rival = dataclasses.replace(beside, moved_by="air_drag", first="gusts", second="air_drag")
+    assert "Beside gusts: air drag 96 %" in what_acts_beside(dataclasses.replace(report, session=rival))
+    of_image = dataclasses.replace(two, also="shading")
+    third = dataclasses.replace(report, verdict=of_image, session=rival)
+    assert "4 %. Enough to name a second effect." in what_acts_beside(third)
     none = dataclasses.replace(session, beside={"none": 0.98, "air_drag": 0.02})
     assert "no other effect shows" in what_acts_beside(dataclasses.replace(report, session=none))
     assert what_acts_beside(dataclasses.replace(report, session=session)) == what_acts_beside(report) == ""
