@@ -19,6 +19,7 @@ class AirDrag(VertexEffect):
 
     NAME: ClassVar[str] = "air_drag"
     STAGE: ClassVar[Stage] = Stage.MECHANICS
+    quadratic: ClassVar[bool] = True
     past_reach: ClassVar[int] = 1
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
         Parameter("linear", "1/s", 0.0, 20.0, 1.0, "resistance in every direction"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import ClassVar, Self
 
 import torch
@@ -45,7 +46,13 @@ def cosine_modes(cloth: Cloth, modes: Sequence[tuple[int, int]] = MODES) -> Tens
         raise InputError(
             "smooth modes need a cloth on a grid", where="cloth", expected="a grid", got="a general mesh"
         )
-    u, v = (torch.linspace(0, torch.pi, n, dtype=torch.float64) for n in cloth.grid)
+    return _on_grid(cloth.grid, tuple(modes))
+
+
+@lru_cache(maxsize=8)
+def _on_grid(grid: tuple[int, int], modes: tuple[tuple[int, int], ...]) -> Tensor:
+    """The same for a grid; derivatives by differences ask for it thousands of times."""
+    u, v = (torch.linspace(0, torch.pi, n, dtype=torch.float64) for n in grid)
     found = [torch.cos(p * u)[:, None] * torch.cos(q * v)[None, :] for p, q in modes]
     return torch.stack(found, -1).reshape(-1, len(modes))
 

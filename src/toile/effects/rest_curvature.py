@@ -58,6 +58,7 @@ class RestCurvature(VertexEffect):
 
     NAME: ClassVar[str] = "rest_curvature"
     STAGE: ClassVar[Stage] = Stage.MECHANICS
+    quadratic: ClassVar[bool] = True
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = _parameters(0)
     SOURCE: ClassVar[str] = (
         "Grinspun, Hirani, Desbrun and Schröder, Discrete Shells, SCA 2003 (bending about a "

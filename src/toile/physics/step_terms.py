@@ -87,10 +87,12 @@ class VertexTerm(ABC):
     Attributes:
         past_reach: on a grid, how many vertices away along each side what happened before a step changes the
             force; an upper bound.
+        quadratic: whether the potential is a polynomial of at most second degree in the new positions.
         values: numbers inside the term (n,) that derivatives are taken by.
     """
 
     past_reach: ClassVar[int] = 2
+    quadratic: ClassVar[bool] = False
     values: Tensor = torch.zeros(0, dtype=torch.float64)
 
     @abstractmethod

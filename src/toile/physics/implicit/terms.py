@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -24,6 +25,8 @@ Array = NDArray[np.float64]
 class VertexPotential(StepPotential):
     """Sum of vertex terms during one step of one scene.
 
+    A quadratic potential is expanded where the step begins, exactly: the solver asks for it a dozen times.
+
     Args:
         terms: at least one.
         now: without gradients.
@@ -32,6 +35,7 @@ class VertexPotential(StepPotential):
     def __init__(self, terms: Sequence[VertexTerm], now: StepContext) -> None:
         self._terms, self._now = terms, now
         self._last: tuple[Array, Array, Array] | None = None
+        self._quadratic = all(term.quadratic for term in terms)
 
     def energy(self, x: Array) -> Array:
         """Potential (N,) [J] at positions (N, 3) [m]."""
@@ -51,11 +55,7 @@ class VertexPotential(StepPotential):
 
     def blocks(self, x: Array, *, convex: bool) -> Array:
         """Its second derivatives (N, 3, 3) [N/m]; without negative eigenvalues if ``convex``."""
-        with torch.enable_grad():
-            positions = torch.tensor(x, requires_grad=True)
-            gradient = _gradient(vertex_energy(self._terms, positions, self._now), positions, graph=True)
-            rows = [_gradient(gradient[:, axis], positions, graph=False) for axis in range(3)]
-        blocks: Array = torch.stack(rows, 1).numpy()
+        blocks = self._expansion[3] if self._quadratic else self._derivatives(x)[2]
         if not convex:
             return blocks
         values, vectors = np.linalg.eigh(blocks)
@@ -64,7 +64,27 @@ class VertexPotential(StepPotential):
         projected: Array = (vectors * values.clip(min=0.0)[:, None, :]) @ vectors.transpose(0, 2, 1)
         return projected
 
+    @cached_property
+    def _expansion(self) -> tuple[Array, Array, Array, Array]:
+        """Where the step begins (N, 3): the place, potential (N,), gradient and second derivatives there."""
+        x = self._now.positions.numpy()
+        return x, *self._derivatives(x)
+
+    def _derivatives(self, x: Array) -> tuple[Array, Array, Array]:
+        """Potential (N,), gradient (N, 3) and second derivatives (N, 3, 3) at positions x (N, 3)."""
+        with torch.enable_grad():
+            positions = torch.tensor(x, requires_grad=True)
+            energy = vertex_energy(self._terms, positions, self._now)
+            gradient = _gradient(energy, positions, graph=True)
+            rows = [_gradient(gradient[:, axis], positions, graph=False) for axis in range(3)]
+        return energy.detach().numpy(), gradient.detach().numpy(), torch.stack(rows, 1).numpy()
+
     def _evaluate(self, x: Array) -> tuple[Array, Array]:
+        if self._quadratic:
+            begin, energy, slope, blocks = self._expansion
+            away = x - begin
+            bent = (blocks @ away[:, :, None])[:, :, 0]
+            return energy + ((slope + 0.5 * bent) * away).sum(-1), slope + bent
         # The line search asks for the potential, then the residual for the gradient at the same place.
         if self._last is None or not np.array_equal(self._last[0], x):
             with torch.enable_grad():
