@@ -20,6 +20,7 @@ from toile.physics.hybrid.simulator import HybridSimulator
 from toile.physics.implicit.integrators import BDF2, BackwardEuler
 from toile.physics.implicit.newton import NewtonSettings
 from toile.physics.implicit.simulator import ImplicitSimulator
+from toile.physics.implicit.terms import VertexPotential
 from toile.physics.material import Material
 from toile.physics.rollout import rollout
 from toile.physics.state import State
@@ -209,6 +210,38 @@ def test_strip_settles_to_a_curvature_that_varies_along_it(axis):
     u = torch.linspace(0, 1, n, dtype=torch.float64)[1:-1]
     expected = (3.0 + 6.0 * torch.cos(2 * torch.pi * u)) * length / (n - 1)
     torch.testing.assert_close(math.copysign(1.0, up) * heading.diff(), expected, rtol=0.02, atol=2e-4)
+
+
+@pytest.mark.parametrize(
+    "term",
+    [
+        AirDrag({"linear": 1.0, "normal": 2.0, "quadratic": 3.0}),
+        RestCurvature({"axis_0": 5.0, "axis_1_1": -3.0}, half_waves=1),
+    ],
+)
+def test_what_is_quadratic_is_expanded_without_error(term):
+    """Potential, gradient and second derivatives away from the step's begin, against torch's own."""
+    generator = torch.Generator().manual_seed(1)
+    x, v, away = (torch.randn(3, CLOTH.n_vertices, 3, generator=generator) * 0.01).double()
+    x = flat(GRID, SIZE)[0] + x
+    now = StepContext(CLOTH, MATERIAL, x, v, 0.01, 0.01, x[:0])
+    at = x + away
+    assert term.quadratic
+    potential = VertexPotential((term,), now)
+
+    def total(y):
+        return term.energy(y, now).sum()
+
+    slope = torch.autograd.functional.jacobian(total, at)
+    whole = torch.autograd.functional.hessian(total, at)
+    i = torch.arange(len(at))
+    for found, expected in (
+        (potential.energy(at.numpy()), term.energy(at, now)),
+        (potential.gradient(at.numpy()), slope),
+        (potential.blocks(at.numpy(), convex=False), whole[i, :, i]),
+    ):
+        scale = float(expected.abs().max())
+        torch.testing.assert_close(torch.from_numpy(found), expected, rtol=0, atol=1e-12 * scale + 1e-18)
 
 
 def test_rest_curvature_pulls_without_net_force_or_torque():

@@ -30,8 +30,9 @@ def modes_up_to(half_waves: int) -> tuple[tuple[int, int], ...]:
     )
 
 
+@lru_cache
 def mode_parameters(
-    low: float, high: float, scale: float, what: str, modes: Sequence[tuple[int, int]] = MODES
+    low: float, high: float, scale: float, what: str, modes: tuple[tuple[int, int], ...] = MODES
 ) -> tuple[Parameter, ...]:
     """One parameter per mode, a pure number."""
     return tuple(

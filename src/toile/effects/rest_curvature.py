@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import ClassVar, Self
 
 import torch
@@ -20,6 +21,7 @@ IN_DETAIL = 4
 """Half waves that resolve a quarter of the cloth: a fold."""
 
 
+@lru_cache
 def _parameters(half_waves: int) -> tuple[Parameter, ...]:
     means = (
         Parameter(f"axis_{a}", "1/m", -50.0, 50.0, 5.0, f"natural curvature along grid axis {a}")
