@@ -81,10 +81,10 @@ class VertexPotential(StepPotential):
 
     def _evaluate(self, x: Array) -> tuple[Array, Array]:
         if self._quadratic:
-            begin, energy, slope, blocks = self._expansion
+            begin, level, slope, blocks = self._expansion
             away = x - begin
             bent = (blocks @ away[:, :, None])[:, :, 0]
-            return energy + ((slope + 0.5 * bent) * away).sum(-1), slope + bent
+            return level + ((slope + 0.5 * bent) * away).sum(-1), slope + bent
         # The line search asks for the potential, then the residual for the gradient at the same place.
         if self._last is None or not np.array_equal(self._last[0], x):
             with torch.enable_grad():
