@@ -374,6 +374,13 @@ def test_half_waves_that_were_asked_for_stay(name):
     assert len(one.parameters) == {"rest_curvature": 4}.get(name, 3)
     with pytest.raises(InputError, match="no such parameter"):
         CATALOGUE[name]({"mode_33": 1.0, "axis_1_4": 1.0}, half_waves=1)
+    with pytest.raises(InputError, match="no such modes"):
+        CATALOGUE[name](half_waves=-1)
+
+
+def test_modes_of_two_digits_are_refused_as_their_names_would_be_one():
+    with pytest.raises(InputError, match="1 to 9"):
+        CATALOGUE["nonuniform_density"](half_waves=11)
 
 
 def test_all_mechanical_effects_at_once():

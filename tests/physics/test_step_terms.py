@@ -168,48 +168,44 @@ def test_damping_does_not_move_the_equilibrium():
     assert (again[:, -1] - hung).abs().max() <= 1e-6
 
 
-@pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize("axis", [0, 1])
-def test_strip_settles_to_its_natural_curvature(axis, sign):
-    """One end clamped, no gravity: an arc that turns by κ L per segment, towards the normal."""
-    n, kappa, length = 13, 8.0 * sign, 0.3
-    grid, size = ((n, 3), (length, 0.05)) if axis == 0 else ((3, n), (0.05, length))
-    index = torch.arange(3 * n).reshape(grid)
+N_STRIP, STRIP = 13, 0.3
+
+
+def settled_strip(axis, curvature):
+    """Middle line (N_STRIP - 1, 3) of a strip clamped at one end, and which way its normal points."""
+    grid, size = ((N_STRIP, 3), (STRIP, 0.05)) if axis == 0 else ((3, N_STRIP), (0.05, STRIP))
+    index = torch.arange(3 * N_STRIP).reshape(grid)
     pinned = (index[:2] if axis == 0 else index[:, :2]).reshape(-1)
     cloth = grid_cloth(grid, size, 0.2, tuple(pinned.tolist()))
     material = grid_material(one(80.0), one(3e-4), one(3e-4))
     x = flat(grid, size)
-    terms = [RestCurvature({f"axis_{axis}": kappa}), AirDrag({"linear": 4.0})]
+    terms = [curvature, AirDrag({"linear": 4.0})]
     end = move(cloth, x, 0 * x, 0.02, 400, vector(0, 0, 0), terms, material=material)[0, -1]
     line = (end.reshape(*grid, 3)[:, 1] if axis == 0 else end.reshape(*grid, 3)[1]).diff(dim=0)
+    return line, math.copysign(1.0, float(vertex_normals(x[0], grid_faces(*grid))[0, 2]))
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_strip_settles_to_its_natural_curvature(axis, sign):
+    """One end clamped, no gravity: an arc that turns by κ L per segment, towards the normal."""
+    line, up = settled_strip(axis, RestCurvature({f"axis_{axis}": 8.0 * sign}))
     direction = line / line.norm(dim=-1, keepdim=True)
     angles = torch.arccos((direction[1:] * direction[:-1]).sum(-1).clamp(max=1.0))
-    segment = length / (n - 1)
-    assert angles.tolist() == pytest.approx([8.0 * segment] * (n - 2), rel=1e-3)
-    up = float(vertex_normals(x[0], grid_faces(*grid))[0, 2])
+    segment = STRIP / (N_STRIP - 1)
+    assert angles.tolist() == pytest.approx([8.0 * segment] * (N_STRIP - 2), rel=1e-3)
     assert math.copysign(1.0, float(line[-1, 2])) == sign * up
 
 
 @pytest.mark.parametrize("axis", [0, 1])
 def test_strip_settles_to_a_curvature_that_varies_along_it(axis):
-    """Clamped at one end: at every vertex it turns by κ(u) L, κ(u) = 3 + 6 cos(2πu), of either sign."""
-    n, length = 13, 0.3
-    grid, size = ((n, 3), (length, 0.05)) if axis == 0 else ((3, n), (0.05, length))
-    index = torch.arange(3 * n).reshape(grid)
-    pinned = (index[:2] if axis == 0 else index[:, :2]).reshape(-1)
-    cloth = grid_cloth(grid, size, 0.2, tuple(pinned.tolist()))
-    material = grid_material(one(80.0), one(3e-4), one(3e-4))
-    x = flat(grid, size)
+    """At every vertex it turns by κ(u) L, κ(u) = 3 + 6 cos(2πu), of either sign."""
     fold = RestCurvature({f"axis_{axis}": 3.0, f"axis_{axis}_2": 6.0}, half_waves=2)
-    terms = [fold, AirDrag({"linear": 4.0})]
-    end = move(cloth, x, 0 * x, 0.02, 400, vector(0, 0, 0), terms, material=material)[0, -1]
-    line = (end.reshape(*grid, 3)[:, 1] if axis == 0 else end.reshape(*grid, 3)[1]).diff(dim=0)
-    along = 1 - axis
-    heading = torch.atan2(line[:, 2], line[:, along])
-    up = float(vertex_normals(x[0], grid_faces(*grid))[0, 2])
-    u = torch.linspace(0, 1, n, dtype=torch.float64)[1:-1]
-    expected = (3.0 + 6.0 * torch.cos(2 * torch.pi * u)) * length / (n - 1)
-    torch.testing.assert_close(math.copysign(1.0, up) * heading.diff(), expected, rtol=0.02, atol=2e-4)
+    line, up = settled_strip(axis, fold)
+    heading = torch.atan2(line[:, 2], line[:, 1 - axis])
+    u = torch.linspace(0, 1, N_STRIP, dtype=torch.float64)[1:-1]
+    expected = (3.0 + 6.0 * torch.cos(2 * torch.pi * u)) * STRIP / (N_STRIP - 1)
+    torch.testing.assert_close(up * heading.diff(), expected, rtol=0.02, atol=2e-4)
 
 
 @pytest.mark.parametrize(

@@ -276,9 +276,8 @@ class MotionEvidence:
             name: (_nats(evidence, 1.0) - weights.outside_threshold) / weights.outside_temperature
             for name, evidence in self.outside.items()
         }
-        none = [odds[name] - float(np.logaddexp(0.0, freed[name])) for name in sorted(both)]
+        none = [0.0, *(odds[name] - float(np.logaddexp(0.0, freed[name])) for name in sorted(both))]
         odds |= {name: odds[name] - float(np.logaddexp(0.0, -freed[name])) for name in both}
-        none.append(0.0)
         for name, value in odds.items():
             if name in self.usual:
                 # Rivals are fitted beside it: its evidence, against a model without, is not to be set against

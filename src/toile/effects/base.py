@@ -66,7 +66,8 @@ class Effect(ABC):
     """One physical or optical effect.
 
     Args:
-        values: parameters by name; those left out are 0.
+        values: parameters by name; those left out are 0. Zeros of PARAMETERS that this instance has not are
+            left out as well: configuration files list the usual ones.
 
     Attributes:
         NAME: in the catalogue and of the configuration file.
@@ -84,8 +85,9 @@ class Effect(ABC):
     SOURCE: ClassVar[str]
 
     def __init__(self, values: Mapping[str, float] | None = None) -> None:
-        values = dict(values or {})
         names = [parameter.name for parameter in self.parameters]
+        listed = {parameter.name for parameter in self.PARAMETERS}.difference(names)
+        values = {name: v for name, v in (values or {}).items() if v != 0 or name not in listed}
         for name in values:
             if name not in names:
                 raise InputError(

@@ -63,9 +63,7 @@ class Gusts(ForceEffect):
             )
         self._given = n_modes is not None
         self._parameters = _parameters(USUAL_MODES if n_modes is None else n_modes)
-        # The configuration file lists the usual modes, also where fewer are asked for.
-        listed = {p.name for p in self.PARAMETERS} - {p.name for p in self._parameters}
-        super().__init__({n: v for n, v in (values or {}).items() if v != 0 or n not in listed})
+        super().__init__(values)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

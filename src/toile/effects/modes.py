@@ -67,25 +67,24 @@ class SmoothField(Effect):
             ``in_detail`` takes.
 
     Raises:
-        InputError: there are no modes, or values of others.
+        InputError: there are no such modes, or values of others.
     """
 
     ALONG_EACH: ClassVar[tuple[float, float, float, str]]
     """Lowest and highest amplitude, its prior deviation, and what it is an amplitude of."""
 
     def __init__(self, values: Mapping[str, float] | None = None, half_waves: Count | None = None) -> None:
-        if half_waves is not None and half_waves < 1:
+        # Names of modes have one digit for each axis.
+        if half_waves is not None and not 1 <= half_waves <= 9:
             raise InputError(
-                f"{self.NAME}: too few modes",
+                f"{self.NAME}: no such modes",
                 where=f"effect={self.NAME}",
-                expected="half_waves >= 1",
+                expected="half_waves from 1 to 9",
                 got=str(half_waves),
             )
         self._given = half_waves is not None
         self.modes = MODES if half_waves is None else modes_up_to(half_waves)
-        # The configuration file lists the usual modes, also where fewer are asked for.
-        listed = {p.name for p in self.PARAMETERS} - {p.name for p in self.parameters}
-        super().__init__({n: v for n, v in (values or {}).items() if v != 0 or n not in listed})
+        super().__init__(values)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

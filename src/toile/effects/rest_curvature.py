@@ -55,7 +55,7 @@ class RestCurvature(VertexEffect):
         half_waves: of the shortest mode of κ along its axis; None for 0, or as many as ``in_detail`` takes.
 
     Raises:
-        InputError: values of other modes.
+        InputError: there are no such modes, or values of others.
     """
 
     NAME: ClassVar[str] = "rest_curvature"
@@ -70,6 +70,13 @@ class RestCurvature(VertexEffect):
     def __init__(
         self, values: Mapping[str, float] | None = None, half_waves: CountOrZero | None = None
     ) -> None:
+        if half_waves is not None and half_waves < 0:
+            raise InputError(
+                "rest curvature: no such modes",
+                where="effect=rest_curvature",
+                expected="half_waves >= 0",
+                got=str(half_waves),
+            )
         self._given = half_waves is not None
         self.half_waves = half_waves or 0
         super().__init__(values)
