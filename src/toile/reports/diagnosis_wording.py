@@ -102,6 +102,12 @@ def calibration_caveat(report: GapReport) -> str:
     )
 
 
+def clips_of(report: GapReport) -> str:
+    """What was diagnosed."""
+    several = report.session is not None and len(report.session.clips) > 1
+    return "these clips" if several else "this clip"
+
+
 def answer(report: GapReport) -> str:
     """The answer in one sentence."""
     verdict = report.verdict
@@ -109,8 +115,8 @@ def answer(report: GapReport) -> str:
         # While others are in the set, nothing is all that one sees, and no more than that.
         alone = set(verdict.candidates) <= {NONE}
         if alone:
-            return "No effect is missing: the model explains this clip."
-        return "No missing effect shows in this clip."
+            return f"No effect is missing: the model explains {clips_of(report)}."
+        return f"No missing effect shows in {clips_of(report)}."
     if verdict.effect == UNKNOWN:
         return "The gap is real, and its cause is outside the catalogue."
     if verdict.effect == AMBIGUOUS:
@@ -118,9 +124,9 @@ def answer(report: GapReport) -> str:
         if len(names) > _NAMED + 1:
             names = [*names[:_NAMED], f"one of {len(names) - _NAMED} others"]
         text = listed(names, "or")
-        several = report.session is not None and len(report.session.clips) > 1
-        who = "these clips" if several else "this clip"
-        return f"{text[:1].upper()}{text[1:]}: {who} cannot tell."
+        if len(verdict.candidates) == 1:
+            return f"Perhaps {text}: {clips_of(report)} cannot settle it."
+        return f"{text[:1].upper()}{text[1:]}: {clips_of(report)} cannot tell."
     names = [spoken(verdict.effect), *([spoken(verdict.also)] if verdict.also else [])]
     return f"The gap is {listed(names, 'and')}."
 
@@ -144,6 +150,8 @@ def certainty(report: GapReport) -> str:
         if beside:
             left = verdict.probability - sum(found.get(c, 0.0) for c in verdict.candidates)
             each.append(f"{listed(beside, 'or')} {percent(max(left, 0.0))}")
+        if len(each) == 1 and not beside:
+            return f"Probability {probability}. {stage}".strip()
         text = f"Together they hold {probability} of the probability"
         text += f": {', '.join(each)}." if each else "."
         return f"{text} Every effect among them acts in the {verdict.stage} stage." if stage else text

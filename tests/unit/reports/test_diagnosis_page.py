@@ -125,6 +125,12 @@ def test_ambiguity_names_the_candidates_and_what_to_record(report: GapReport) ->
     two = SessionAnswer(("a", "b"), (5, 5), {}, (), {}, 1.0)
     said = answer(dataclasses.replace(answered(report, perhaps), session=two))
     assert said == "Air drag or nothing at all: these clips cannot tell."
+    # Most evidence, and predicts worse: one candidate that is no answer.
+    alone = answered(report, dataclasses.replace(AMBIGUITY, candidates=("air_drag",), stage="mechanics"))
+    assert answer(alone) == "Perhaps air drag: this clip cannot settle it."
+    assert certainty(alone).endswith("It acts in the mechanics stage.")
+    assert "Together" not in certainty(alone)
+    assert "What these clips can tell apart" in body(dataclasses.replace(alone, session=two))
     # What is no effect has its share as well: the numbers add up to what they hold together.
     assert "air drag 93 %, nothing missing 3 %" in certainty(answered(report, perhaps))
 
