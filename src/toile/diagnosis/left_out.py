@@ -1,9 +1,9 @@
 """How far the error shrinks on a whole clip that no fit has seen.
 
 Material and effects come from the other clips. The clip left out is predicted piece by piece: from where the
-cloth was tracked, and as fast as it was, some frames ahead with nothing free. Its wind is that of the
-hypothesis' own fit to all clips, since no other clip knows of it; base model and effect have that advantage
-alike.
+cloth was tracked, and as fast as it was, some frames ahead with nothing free. Its images judge, since the
+tracked motion has been refined by the base model. Its wind is that of the hypothesis' own fit to all clips,
+since no other clip knows of it; base model and effect have that advantage alike.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toile.diagnosis.base_fit import N_WIND, base_of
+from toile.diagnosis.image_error import METRIC, ImageError
 from toile.diagnosis.joint_fit import JointClip, JointFit, JointFitting, tracked_windows
 from toile.diagnosis.record import PIECES, Shrink
 from toile.diagnosis.refits import acting_with
 from toile.diagnosis.shooting import Base, cosine_modes
-from toile.diagnosis.shrinkage import DEFAULT as PREDICTION
-from toile.diagnosis.shrinkage import METRIC, interval, shrink_of
+from toile.diagnosis.shrinkage import PredictionSettings, interval, shrink_of
 from toile.effects.base import Effect, Scope
 
 Array = NDArray[np.float64]
@@ -84,12 +84,14 @@ def left_out_shrinks(
     if without_effect is None:
         return LeftOut({}, ())
     best = _best_placebo(ours, model, plain, without_effect, placebos, seed)
+    # What a piece starts with wrongly stays with it: its frames are no cases of their own.
+    resampled = PredictionSettings(block=min(ahead, len(without_effect)))
     shrinks = {}
     for name, better in errors.items():
         if better is None:
             continue
         total = shrink_of(without_effect, better)
-        low, high = interval(without_effect, better, seed, PREDICTION)
+        low, high = interval(without_effect, better, seed, resampled)
         held = "the last clip" if without is not None else f"{PIECES} of {ahead} frames"
         shrinks[name] = Shrink(
             METRIC,
@@ -123,29 +125,26 @@ class _Predictor:
         self.windows = tracked_windows(self.shooting, n)
         self.around = clip.around
         self.frames = tuple(range(1, n))
+        self.error = ImageError(self.shooting.tracked)
 
     def errors(self, base: Base, effects: tuple[Effect, ...], field: Array | None = None) -> Array | None:
-        """Mean distance of every predicted frame (F - 1,) [m]; None where a step fails.
+        """Of every predicted frame (F - 1,) [m], see ImageError; None where a step fails.
 
         Args:
             base: material and wind.
             effects: that act.
             field: force per mass beside (N, 3) [m/s²].
         """
-        found = []
         shooting = self.shooting if field is None else self.shooting.pushed(field)
         given = shooting.with_effects(effects, self.around, base)
-        for window in self.windows:
-            try:
-                moved = shooting.simulate(window, window.standardised, base, given)
-            except FloatingPointError:
-                return None
-            if not moved.converged:
-                return None
-            frames = moved.positions[:: shooting.substeps][1:]
-            seen = shooting.tracked.positions[window.first + 1 : window.last + 1]
-            found.append(np.linalg.norm(frames - seen, axis=-1).mean(-1))
-        return np.concatenate(found)
+        try:
+            moved = shooting.simulate_all(self.windows, [w.standardised for w in self.windows], base, given)
+        except FloatingPointError:
+            return None
+        if not all(window.converged for window in moved):
+            return None
+        frames = np.concatenate([window.positions[:: shooting.substeps][1:] for window in moved])
+        return np.array([self.error.of(frame, x) for frame, x in zip(self.frames, frames, strict=True)])
 
 
 def _best_placebo(

@@ -146,9 +146,11 @@ def of_two(verdict: Verdict, first: str, second: str, probability: float) -> Ver
 
 
 def refuted(verdict: Verdict, found: Mapping[str, float], shrinks: Mapping[str, Shrink]) -> Verdict:
-    """The same verdict, unless its effect predicts worse what no fit has seen: then the clips are ambiguous.
+    """The same verdict, unless its effect predicts worse what another one predicts better: then both may be.
 
-    Evidence is of what was fitted, and flexible effects may gain there by what they cannot foretell.
+    Evidence is of what was fitted, and flexible effects may gain there by what they cannot foretell. That an
+    effect predicts worse says little by itself: over half a second the error of the start outweighs a weak
+    cause, and one that acts may add to it.
 
     Args:
         verdict: to be checked.
@@ -156,12 +158,12 @@ def refuted(verdict: Verdict, found: Mapping[str, float], shrinks: Mapping[str, 
         shrinks: of the error on a whole clip that was left out, by effect.
     """
     own = shrinks.get(verdict.effect)
-    if own is None or own.high >= 0:
-        return verdict
     better = [name for name, s in shrinks.items() if s.low > max(0.0, s.best_placebo or 0.0)]
+    if own is None or own.high >= 0 or not better:
+        return verdict
     candidates = tuple(dict.fromkeys((*verdict.candidates, *better)))
     reason = f"{verdict.effect} has most evidence, but predicts the clip that was left out worse than nothing"
-    reason += f"; {', '.join(better)} predicts it better." if better else "."
+    reason += f"; {', '.join(better)} predicts it better."
     return replace(
         verdict,
         effect=AMBIGUOUS,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -469,6 +470,34 @@ class TestLeftOutClip:
         assert shrink.best_placebo < shrink.estimate
         assert shrink.low <= shrink.estimate <= shrink.high
         assert shrink.held_out == "the last clip"
+
+    def test_images_judge_and_not_a_motion_that_the_base_model_has_drawn_to_itself(
+        self, dragged: Problem
+    ) -> None:
+        last = dragged.fitting.clips[-1]
+        step, seen = last.shooting.substeps, last.shooting.tracked
+        windows = dragged.base.windows[-1]
+        fitted = np.concatenate([windows[0].positions[:1], *(w.positions[step::step] for w in windows)])
+        drawn = seen.positions.copy()
+        drawn[: len(fitted)] = fitted
+        slopes = np.stack(
+            [
+                (information @ (x - truth).reshape(-1)).reshape(-1, 3)
+                for information, x, truth in zip(seen.information, drawn, seen.positions, strict=True)
+            ]
+        )
+        fits, effects = {"air_drag": dragged.drag}, {"air_drag": drag(0.0)}
+
+        def shrink(gradient: np.ndarray) -> float:
+            shooting = copy.copy(last.shooting)
+            shooting.tracked = replace(seen, positions=drawn, gradient=gradient)
+            clips = [*dragged.fitting.clips[:-1], replace(last, shooting=shooting)]
+            whole = JointFitting(clips, dragged.fitting.start, np.zeros(3))
+            found = left_out_shrinks(whole, None, dragged.base, fits, effects, 6, 0, 0)
+            return found.shrinks["air_drag"].estimate
+
+        # Where images know better than the motion they are linearised at, and where they do not.
+        assert shrink(slopes) > shrink(np.zeros_like(slopes)) + 0.05
 
 
 class TestAliases:
