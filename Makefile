@@ -275,6 +275,15 @@ blind-sessions: setup ## The same with sessions of several clips: three clips, o
 	$(BIN)/toile blind run set=$(SESSIONS) jobs=$(JOBS) extended=true
 	$(BIN)/toile blind grade set=$(SESSIONS) $(SESSIONS_TABLE)
 
+.PHONY: blind-sessions-short
+blind-sessions-short: setup ## Sessions of one clip of 40 frames at 25 a second, then with the clip that each answer asks for; resumes
+	$(BIN)/toile blind make set=sessions_short jobs=$(JOBS)
+	$(BIN)/toile blind run set=sessions_short jobs=$(JOBS)
+	$(BIN)/toile blind run set=sessions_short jobs=$(JOBS) as_scene=true
+	$(BIN)/toile blind extend set=sessions_short
+	$(BIN)/toile blind run set=sessions_short jobs=$(JOBS) extended=true
+	$(BIN)/toile blind grade set=sessions_short table=docs/results/blind_sessions_short.csv
+
 .PHONY: blind-results
 blind-results: setup ## Put a graded set (BLIND_NAME) into the documents: docs/results/blind_standard.md
 	$(BIN)/python benchmarks/blind_results.py $(BLIND_NAME)
