@@ -133,6 +133,7 @@ def joint_clip(
     *,
     forces: bool = False,
     still_air: bool = False,
+    velocities: Array | None = None,
 ) -> JointClip:
     """A clip whose windows start where the cloth was tracked, as fast as it was.
 
@@ -143,25 +144,38 @@ def joint_clip(
         device: that filmed it.
         forces: whether windows keep forces of their own, see JointFitSettings.
         still_air: whether nothing blew.
+        velocities: see tracked_windows.
     """
     bare = (shooting if forces else shooting.without_forces()).counting_frames_once()
-    return JointClip(bare, around, device, tracked_windows(bare, n_frames), still_air)
+    return JointClip(bare, around, device, tracked_windows(bare, n_frames, velocities), still_air)
 
 
-def tracked_windows(shooting: Shooting, n_frames: int) -> list[WindowMotion]:
-    """Windows that start where the cloth was tracked; their motion is the tracked one.
-
-    Velocities are those of cubics through five frames (Savitzky and Golay 1964); frame 0 is at rest.
+def tracked_velocities(shooting: Shooting, n_frames: int) -> Array:
+    """Of all frames (F, N, 3) [m/s], by cubics through five (Savitzky and Golay 1964); frame 0 is at rest.
 
     Args:
         shooting: the problem.
         n_frames: frames used.
     """
+    over = min(_SMOOTHED, n_frames - (n_frames + 1) % 2)
+    apart = shooting.substeps * shooting.simulator.time_step
+    x = shooting.tracked.positions[:n_frames]
+    v: Array = savgol_filter(x, over, min(3, over - 1), deriv=1, delta=apart, axis=0)
+    v[0] = 0.0
+    return v
+
+
+def tracked_windows(shooting: Shooting, n_frames: int, velocities: Array | None = None) -> list[WindowMotion]:
+    """Windows that start where the cloth was tracked; their motion is the tracked one.
+
+    Args:
+        shooting: the problem.
+        n_frames: frames used.
+        velocities: of all frames (F, N, 3) [m/s]; None for ``tracked_velocities``.
+    """
     sub, h = shooting.substeps, shooting.simulator.time_step
     x = shooting.tracked.positions[:n_frames]
-    over = min(_SMOOTHED, n_frames - (n_frames + 1) % 2)
-    v = savgol_filter(x, over, min(3, over - 1), deriv=1, delta=sub * h, axis=0)
-    v[0] = 0.0
+    v = tracked_velocities(shooting, n_frames) if velocities is None else velocities
     path = CubicSpline(np.arange(n_frames), x)
     windows = []
     for first, last in window_bounds(n_frames, shooting.settings.window):

@@ -133,7 +133,8 @@ def freed_fit(
         base = fitting.fitted(fitting.usual, fitting.start_fit(workers), workers)
         if rounds_left:
             # The quadratic of the images is that around another motion, with corners elsewhere.
-            motion = replace(motion, positions=model.refined(base).positions)
+            refined = model.refined(base)
+            motion = replace(motion, positions=refined.positions, velocities=refined.velocities)
     return fitting, base, model.width
 
 

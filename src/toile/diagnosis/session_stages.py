@@ -10,7 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toile.diagnosis.fingerprint import fingerprint
-from toile.diagnosis.joint_fit import JointClip, JointFit, JointFitting, joint_clip
+from toile.diagnosis.joint_fit import (
+    JointClip,
+    JointFit,
+    JointFitting,
+    joint_clip,
+    tracked_velocities,
+)
 from toile.diagnosis.mechanics import shooting_of, start_material, surroundings
 from toile.diagnosis.model_errors import ModelErrors, model_errors, with_share
 from toile.diagnosis.model_grid import ModelGrid, model_grid
@@ -100,11 +106,13 @@ class RefinedMotion:
         material: log ratios of the base model's numbers to their start values (P,); None where none was
             fitted.
         error: of the base model on it, root mean square over the cloth's width; None: as the settings say.
+        velocities: of every clip on the model's grid (F, N, 3) [m/s], where fits begin; None: as tracked.
     """
 
     positions: list[Array]
     material: Array | None
     error: float | None = None
+    velocities: list[Array] | None = None
 
 
 class SessionModel:
@@ -129,9 +137,10 @@ class SessionModel:
         self.grids = [_grid(clip, settings) for clip in clips]
         start = start_material(self.grids[0], stiffness)
         values = np.zeros(len(start)) if motion.material is None else motion.material
+        velocities: Sequence[Array | None] = motion.velocities or [None] * len(clips)
         of_clips = [
-            _joint(clip, grid, positions, settings)
-            for clip, grid, positions in zip(clips, self.grids, motion.positions, strict=True)
+            _joint(*of_clip, settings)
+            for of_clip in zip(clips, self.grids, motion.positions, velocities, strict=True)
         ]
         usual = tuple(CATALOGUE[name]() for name in settings.usual)
         self.fitting = JointFitting(of_clips, start, values, settings.fit, usual)
@@ -159,7 +168,22 @@ class SessionModel:
             step = clip.shooting.substeps
             frames = [windows[0].positions[:1], *(window.positions[step::step] for window in windows)]
             positions.append(np.einsum("vn,fnc->fvc", grid.prolong, np.concatenate(frames)))
-        return RefinedMotion(positions, fit.values[: len(self.fitting.start)])
+        material = fit.values[: len(self.fitting.start)]
+        return RefinedMotion(positions, material, velocities=self.velocities(fit))
+
+    def velocities(self, fit: JointFit) -> list[Array]:
+        """Of every clip (F, N, 3) [m/s]: those of a fit where its windows start.
+
+        A fit around another motion that begins with them has hardly to find them again.
+        """
+        found = []
+        for clip, windows in zip(self.fitting.clips, fit.windows, strict=True):
+            own = tracked_velocities(clip.shooting, windows[-1].last + 1)
+            for window in windows:
+                if window.start is not None:
+                    own[window.first] = window.start.velocities[0].numpy()
+            found.append(own)
+        return found
 
 
 def refined_motion(
@@ -228,7 +252,8 @@ def with_error_found(
         start = fitting.start_fit(workers) if base is None else fitting.costed((), base)
         base = fitting.fitted((), start, workers)
         found = model.errors(base).found
-        motion = replace(motion, error=found, material=base.values[: len(fitting.start)])
+        material = base.values[: len(fitting.start)]
+        motion = replace(motion, error=found, material=material, velocities=model.velocities(base))
     return motion
 
 
@@ -238,7 +263,9 @@ def _grid(clip: SeenClip, settings: SessionSettings) -> ModelGrid:
     return model_grid(problem.scene, problem.reconstruction.cloth, side, settings.law)
 
 
-def _joint(clip: SeenClip, grid: ModelGrid, positions: Array, s: SessionSettings) -> JointClip:
+def _joint(
+    clip: SeenClip, grid: ModelGrid, positions: Array, velocities: Array | None, s: SessionSettings
+) -> JointClip:
     problem = clip.problem
     fps, of_clip = problem.scene.fps, problem.settings.shooting
     # Only where they are thought to stay: positions are those of the template then, not of the tracking.
@@ -263,8 +290,15 @@ def _joint(clip: SeenClip, grid: ModelGrid, positions: Array, s: SessionSettings
     shooting = shooting_of(problem.scene, grid, tracked, own, s.longest_substep)
     around = surroundings(problem.scene, grid)
     free = s.fit.force > 0
-    n_frames, still = len(positions), clip.still_air
-    return joint_clip(shooting, around, n_frames, clip.device, forces=free, still_air=still)
+    return joint_clip(
+        shooting,
+        around,
+        len(positions),
+        clip.device,
+        forces=free,
+        still_air=clip.still_air,
+        velocities=velocities,
+    )
 
 
 def refining_stage(
