@@ -80,7 +80,11 @@ def test_files(tmp_path: Path) -> None:
 
 def test_another_name_of_a_setting() -> None:
     assert "set=" in candidates(["blind", "make", "se"])
-    assert candidates(["blind", "make", "set=sess"]) == ["set=sessions", "set=sessions_short", "set=sessions_tiny"]
+    assert candidates(["blind", "make", "set=sess"]) == [
+        "set=sessions",
+        "set=sessions_short",
+        "set=sessions_tiny",
+    ]
     assert "diagnosis=" in candidates(["record", "diag"])
 
 

@@ -116,6 +116,7 @@ class JointClip:
         device: that filmed it, from 0.
         windows: as tracked.
         still_air: whether nothing blew: its wind is that of a closed room.
+        wind: with which a fit begins (2,) [m/s²].
     """
 
     shooting: Shooting
@@ -123,6 +124,7 @@ class JointClip:
     device: int
     windows: list[WindowMotion]
     still_air: bool = False
+    wind: tuple[float, ...] = (0.0,) * N_WIND
 
 
 def joint_clip(
@@ -134,6 +136,7 @@ def joint_clip(
     forces: bool = False,
     still_air: bool = False,
     velocities: Array | None = None,
+    wind: tuple[float, ...] = (0.0,) * N_WIND,
 ) -> JointClip:
     """A clip whose windows start where the cloth was tracked, as fast as it was.
 
@@ -145,9 +148,10 @@ def joint_clip(
         forces: whether windows keep forces of their own, see JointFitSettings.
         still_air: whether nothing blew.
         velocities: see tracked_windows.
+        wind: see JointClip.
     """
     bare = (shooting if forces else shooting.without_forces()).counting_frames_once()
-    return JointClip(bare, around, device, tracked_windows(bare, n_frames, velocities), still_air)
+    return JointClip(bare, around, device, tracked_windows(bare, n_frames, velocities), still_air, wind)
 
 
 def tracked_velocities(shooting: Shooting, n_frames: int) -> Array:
@@ -163,6 +167,22 @@ def tracked_velocities(shooting: Shooting, n_frames: int) -> Array:
     v: Array = savgol_filter(x, over, min(3, over - 1), deriv=1, delta=apart, axis=0)
     v[0] = 0.0
     return v
+
+
+def fitted_velocities(shooting: Shooting, windows: Sequence[WindowMotion]) -> Array:
+    """Of all frames (F, N, 3) [m/s]: those of a fit where its windows start, and as tracked elsewhere.
+
+    A fit around another motion that begins with them has hardly to find them again.
+
+    Args:
+        shooting: the problem that was fitted.
+        windows: of the fit.
+    """
+    found = tracked_velocities(shooting, windows[-1].last + 1)
+    for window in windows:
+        if window.start is not None:
+            found[window.first] = window.start.velocities[0].numpy()
+    return found
 
 
 def tracked_windows(shooting: Shooting, n_frames: int, velocities: Array | None = None) -> list[WindowMotion]:
@@ -327,7 +347,7 @@ class JointFitting:
 
     def start_fit(self, workers: Workers = ALONE) -> JointFit:
         """The base model where fits begin, without any effect, simulated."""
-        values = np.concatenate((self._values, np.zeros(N_WIND * len(self.clips))))
+        values = np.concatenate((self._values, *(clip.wind for clip in self.clips)))
         layout = self.layout(())
         windows = [
             simulated_windows(

@@ -133,8 +133,7 @@ def freed_fit(
         base = fitting.fitted(fitting.usual, fitting.start_fit(workers), workers)
         if rounds_left:
             # The quadratic of the images is that around another motion, with corners elsewhere.
-            refined = model.refined(base)
-            motion = replace(motion, positions=refined.positions, velocities=refined.velocities)
+            motion = replace(model.refined(base), error=motion.error)
     return fitting, base, model.width
 
 

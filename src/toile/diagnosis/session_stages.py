@@ -9,13 +9,14 @@ from typing import TypeVar, TypeVarTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from toile.diagnosis.base_fit import N_WIND
 from toile.diagnosis.fingerprint import fingerprint
 from toile.diagnosis.joint_fit import (
     JointClip,
     JointFit,
     JointFitting,
+    fitted_velocities,
     joint_clip,
-    tracked_velocities,
 )
 from toile.diagnosis.mechanics import shooting_of, start_material, surroundings
 from toile.diagnosis.model_errors import ModelErrors, model_errors, with_share
@@ -107,12 +108,14 @@ class RefinedMotion:
             fitted.
         error: of the base model on it, root mean square over the cloth's width; None: as the settings say.
         velocities: of every clip on the model's grid (F, N, 3) [m/s], where fits begin; None: as tracked.
+        winds: of every clip (C, 2) [m/s²], where fits begin; None: none.
     """
 
     positions: list[Array]
     material: Array | None
     error: float | None = None
     velocities: list[Array] | None = None
+    winds: Array | None = None
 
 
 class SessionModel:
@@ -138,9 +141,12 @@ class SessionModel:
         start = start_material(self.grids[0], stiffness)
         values = np.zeros(len(start)) if motion.material is None else motion.material
         velocities: Sequence[Array | None] = motion.velocities or [None] * len(clips)
+        winds = np.zeros((len(clips), N_WIND)) if motion.winds is None else motion.winds
         of_clips = [
-            _joint(*of_clip, settings)
-            for of_clip in zip(clips, self.grids, motion.positions, velocities, strict=True)
+            _joint(clip, grid, positions, own, tuple(wind), settings)
+            for clip, grid, positions, own, wind in zip(
+                clips, self.grids, motion.positions, velocities, winds, strict=True
+            )
         ]
         usual = tuple(CATALOGUE[name]() for name in settings.usual)
         self.fitting = JointFitting(of_clips, start, values, settings.fit, usual)
@@ -168,22 +174,20 @@ class SessionModel:
             step = clip.shooting.substeps
             frames = [windows[0].positions[:1], *(window.positions[step::step] for window in windows)]
             positions.append(np.einsum("vn,fnc->fvc", grid.prolong, np.concatenate(frames)))
-        material = fit.values[: len(self.fitting.start)]
-        return RefinedMotion(positions, material, velocities=self.velocities(fit))
+        return self.beginning(RefinedMotion(positions, None), fit)
 
-    def velocities(self, fit: JointFit) -> list[Array]:
-        """Of every clip (F, N, 3) [m/s]: those of a fit where its windows start.
+    def beginning(self, motion: RefinedMotion, fit: JointFit) -> RefinedMotion:
+        """A motion, fits to which begin with the material, velocities and winds that one has found.
 
-        A fit around another motion that begins with them has hardly to find them again.
+        Args:
+            motion: to be fitted.
+            fit: to a similar one.
         """
-        found = []
-        for clip, windows in zip(self.fitting.clips, fit.windows, strict=True):
-            own = tracked_velocities(clip.shooting, windows[-1].last + 1)
-            for window in windows:
-                if window.start is not None:
-                    own[window.first] = window.start.velocities[0].numpy()
-            found.append(own)
-        return found
+        n = len(self.fitting.start)
+        pairs = zip(self.fitting.clips, fit.windows, strict=True)
+        velocities = [fitted_velocities(clip.shooting, windows) for clip, windows in pairs]
+        winds = fit.values[n:].reshape(-1, N_WIND)
+        return replace(motion, material=fit.values[:n], velocities=velocities, winds=winds)
 
 
 def refined_motion(
@@ -252,8 +256,7 @@ def with_error_found(
         start = fitting.start_fit(workers) if base is None else fitting.costed((), base)
         base = fitting.fitted((), start, workers)
         found = model.errors(base).found
-        material = base.values[: len(fitting.start)]
-        motion = replace(motion, error=found, material=material, velocities=model.velocities(base))
+        motion = replace(model.beginning(motion, base), error=found)
     return motion
 
 
@@ -264,7 +267,12 @@ def _grid(clip: SeenClip, settings: SessionSettings) -> ModelGrid:
 
 
 def _joint(
-    clip: SeenClip, grid: ModelGrid, positions: Array, velocities: Array | None, s: SessionSettings
+    clip: SeenClip,
+    grid: ModelGrid,
+    positions: Array,
+    velocities: Array | None,
+    wind: tuple[float, ...],
+    s: SessionSettings,
 ) -> JointClip:
     problem = clip.problem
     fps, of_clip = problem.scene.fps, problem.settings.shooting
@@ -298,6 +306,7 @@ def _joint(
         forces=free,
         still_air=clip.still_air,
         velocities=velocities,
+        wind=wind,
     )
 
 

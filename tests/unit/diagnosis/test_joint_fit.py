@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -13,7 +13,14 @@ import torch
 from toile.diagnosis.base_fit import base_of, base_sensitivities, local_scales, nothing_seen
 from toile.diagnosis.effect_size import displacement
 from toile.diagnosis.hem import Hem
-from toile.diagnosis.joint_fit import JointFit, JointFitSettings, JointFitting, SharedLayout, joint_clip
+from toile.diagnosis.joint_fit import (
+    JointFit,
+    JointFitSettings,
+    JointFitting,
+    SharedLayout,
+    fitted_velocities,
+    joint_clip,
+)
 from toile.diagnosis.left_out import left_out_shrinks
 from toile.diagnosis.model_errors import ModelErrors, model_errors
 from toile.diagnosis.outside_causes import OutsideCauses, judged
@@ -498,6 +505,23 @@ class TestLeftOutClip:
 
         # Where images know better than the motion they are linearised at, and where they do not.
         assert shrink(slopes) > shrink(np.zeros_like(slopes)) + 0.05
+
+
+class TestStarts:
+    def test_fits_around_what_another_one_found_begin_near_their_end(self, still: Problem) -> None:
+        clip = still.fitting.clips[0]
+        windows, step = still.base.windows[0], clip.shooting.substeps
+        frames = np.concatenate([windows[0].positions[:1], *(w.positions[step::step] for w in windows)])
+        shooting = copy.copy(clip.shooting)
+        shooting.tracked = replace(shooting.tracked, positions=frames)
+
+        def misfit(**begin: Any) -> float:
+            one = joint_clip(shooting, clip.around, FRAMES, **begin)
+            return JointFitting([one], still.fitting.start, still.base.values[:3]).start_fit().misfit
+
+        wind = tuple(still.base.values[3:5])
+        near = misfit(velocities=fitted_velocities(clip.shooting, windows), wind=wind)
+        assert near < 0.2 * misfit()
 
 
 class TestAliases:
