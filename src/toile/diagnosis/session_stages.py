@@ -109,6 +109,8 @@ class RefinedMotion:
         error: of the base model on it, root mean square over the cloth's width; None: as the settings say.
         velocities: of every clip on the model's grid (F, N, 3) [m/s], where fits begin; None: as tracked.
         winds: of every clip (C, 2) [m/s²], where fits begin; None: none.
+        unknowns: of the windows of every clip (W, n_local), in units of their deviations from positions and
+            velocities, where fits without forces of their own begin; None: none.
     """
 
     positions: list[Array]
@@ -116,6 +118,7 @@ class RefinedMotion:
     error: float | None = None
     velocities: list[Array] | None = None
     winds: Array | None = None
+    unknowns: list[Array] | None = None
 
 
 class SessionModel:
@@ -140,13 +143,9 @@ class SessionModel:
         self.grids = [_grid(clip, settings) for clip in clips]
         start = start_material(self.grids[0], stiffness)
         values = np.zeros(len(start)) if motion.material is None else motion.material
-        velocities: Sequence[Array | None] = motion.velocities or [None] * len(clips)
-        winds = np.zeros((len(clips), N_WIND)) if motion.winds is None else motion.winds
         of_clips = [
-            _joint(clip, grid, positions, own, tuple(wind), settings)
-            for clip, grid, positions, own, wind in zip(
-                clips, self.grids, motion.positions, velocities, winds, strict=True
-            )
+            _joint(clip, grid, motion, k, settings)
+            for k, (clip, grid) in enumerate(zip(clips, self.grids, strict=True))
         ]
         usual = tuple(CATALOGUE[name]() for name in settings.usual)
         self.fitting = JointFitting(of_clips, start, values, settings.fit, usual)
@@ -174,20 +173,12 @@ class SessionModel:
             step = clip.shooting.substeps
             frames = [windows[0].positions[:1], *(window.positions[step::step] for window in windows)]
             positions.append(np.einsum("vn,fnc->fvc", grid.prolong, np.concatenate(frames)))
-        return self.beginning(RefinedMotion(positions, None), fit)
-
-    def beginning(self, motion: RefinedMotion, fit: JointFit) -> RefinedMotion:
-        """A motion, fits to which begin with the material, velocities and winds that one has found.
-
-        Args:
-            motion: to be fitted.
-            fit: to a similar one.
-        """
         n = len(self.fitting.start)
         pairs = zip(self.fitting.clips, fit.windows, strict=True)
         velocities = [fitted_velocities(clip.shooting, windows) for clip, windows in pairs]
-        winds = fit.values[n:].reshape(-1, N_WIND)
-        return replace(motion, material=fit.values[:n], velocities=velocities, winds=winds)
+        return RefinedMotion(
+            positions, fit.values[:n], velocities=velocities, winds=fit.values[n:].reshape(-1, N_WIND)
+        )
 
 
 def refined_motion(
@@ -256,7 +247,11 @@ def with_error_found(
         start = fitting.start_fit(workers) if base is None else fitting.costed((), base)
         base = fitting.fitted((), start, workers)
         found = model.errors(base).found
-        motion = replace(model.beginning(motion, base), error=found)
+        # The windows refer to the same motion as before, so what they differ by is kept, and not their speed.
+        unknowns = [np.stack([window.standardised for window in windows]) for windows in base.windows]
+        winds = base.values[len(fitting.start) :].reshape(-1, N_WIND)
+        material = base.values[: len(fitting.start)]
+        motion = replace(motion, error=found, material=material, winds=winds, unknowns=unknowns)
     return motion
 
 
@@ -266,14 +261,8 @@ def _grid(clip: SeenClip, settings: SessionSettings) -> ModelGrid:
     return model_grid(problem.scene, problem.reconstruction.cloth, side, settings.law)
 
 
-def _joint(
-    clip: SeenClip,
-    grid: ModelGrid,
-    positions: Array,
-    velocities: Array | None,
-    wind: tuple[float, ...],
-    s: SessionSettings,
-) -> JointClip:
+def _joint(clip: SeenClip, grid: ModelGrid, motion: RefinedMotion, k: int, s: SessionSettings) -> JointClip:
+    positions = motion.positions[k]
     problem = clip.problem
     fps, of_clip = problem.scene.fps, problem.settings.shooting
     # Only where they are thought to stay: positions are those of the template then, not of the tracking.
@@ -298,16 +287,20 @@ def _joint(
     shooting = shooting_of(problem.scene, grid, tracked, own, s.longest_substep)
     around = surroundings(problem.scene, grid)
     free = s.fit.force > 0
-    return joint_clip(
+    joint = joint_clip(
         shooting,
         around,
         len(positions),
         clip.device,
         forces=free,
         still_air=clip.still_air,
-        velocities=velocities,
-        wind=wind,
+        velocities=None if motion.velocities is None else motion.velocities[k],
+        wind=(0.0,) * N_WIND if motion.winds is None else tuple(motion.winds[k]),
     )
+    if motion.unknowns is None or free:
+        return joint
+    pairs = zip(joint.windows, motion.unknowns[k], strict=True)
+    return replace(joint, windows=[replace(window, standardised=own) for window, own in pairs])
 
 
 def refining_stage(

@@ -523,6 +523,23 @@ class TestStarts:
         near = misfit(velocities=fitted_velocities(clip.shooting, windows), wind=wind)
         assert near < 0.2 * misfit()
 
+    def test_fits_of_the_same_motion_begin_where_another_one_has_ended(self, still: Problem) -> None:
+        pairs = zip(still.fitting.clips, still.base.windows, strict=True)
+        values = still.base.values
+        clips = [
+            replace(
+                clip,
+                wind=tuple(values[3 + 2 * c : 5 + 2 * c]),
+                windows=[
+                    replace(begin, standardised=end.standardised)
+                    for begin, end in zip(clip.windows, ended, strict=True)
+                ],
+            )
+            for c, (clip, ended) in enumerate(pairs)
+        ]
+        again = JointFitting(clips, still.fitting.start, values[:3]).start_fit()
+        assert again.misfit == pytest.approx(still.base.misfit, abs=0.01)
+
 
 class TestAliases:
     def test_tilted_gravity_is_a_wind_and_leaves_no_trace(self, still: Problem) -> None:
