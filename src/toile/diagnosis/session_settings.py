@@ -35,7 +35,7 @@ class RefiningSettings:
 
     rounds: CountOrZero = 7
     steady: NonNegative = 1.0
-    passes: Count = 3
+    passes: Count = 2
     jumps: Positive = 2.5
 
 
