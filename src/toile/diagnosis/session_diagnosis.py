@@ -63,7 +63,7 @@ from toile.diagnosis.settings import DiagnosisSettings
 from toile.diagnosis.stage_store import StageStore
 from toile.diagnosis.stage_times import TIMES_FILE, StageTimes
 from toile.diagnosis.stored_values import ValueStore
-from toile.diagnosis.verdict import is_clear, of_two, refuted, verdict_of
+from toile.diagnosis.verdict import is_clear, of_two, refuted, seen_in_part, verdict_of
 from toile.effects.base import Effect
 from toile.effects.catalogue import CATALOGUE, STAGES
 from toile.generation.clip_plan import MOTIONS
@@ -301,6 +301,9 @@ def _report(
         verdict = of_two(verdict, second.first, second.name, acts * second.chances[second.name])
     if len(found.clips) > 1:
         verdict = refuted(verdict, evidence.chances, found.left_out.shrinks)
+    pairs = zip(session.clips, found.clips, strict=True)
+    frames = {of.folder.name: (clip.n_frames, clip.problem.scene.n_frames) for of, clip in pairs}
+    verdict = seen_in_part(verdict, frames)
     following = ""
     # A class that is one answer is clear where its members are not.
     gains = found.gains if verdict.effect in (AMBIGUOUS, UNKNOWN) else {}

@@ -188,5 +188,29 @@ def until(verdict: Verdict, frame: int) -> Verdict:
     return replace(verdict, reason=f"{verdict.reason} {note}")
 
 
+def seen_in_part(verdict: Verdict, frames: Mapping[str, tuple[int, int]]) -> Verdict:
+    """The same verdict, saying of which clips tracking has lost the cloth.
+
+    What most frames are missing for is no proof that nothing is missing: ``none`` is ambiguous then.
+
+    Args:
+        verdict: from the frames before.
+        frames: by clip, those in which the tracked motion is that of the cloth, and all of them.
+    """
+    lost = {clip: known for clip, (known, every) in frames.items() if known < every}
+    if not lost:
+        return verdict
+    notes = [f"Tracking loses the cloth in frame {known} of {clip}." for clip, known in lost.items()]
+    reason = " ".join((verdict.reason, *notes, "Only frames before count."))
+    known, every = (sum(counts) for counts in zip(*frames.values(), strict=True))
+    if verdict.effect != NONE or 2 * known >= every:
+        return replace(verdict, reason=reason)
+    reason = " ".join(
+        (*notes, f"The {known} frames before, of {every}, are too few to say that nothing acts.")
+    )
+    following = next_recording(verdict.candidates)
+    return replace(verdict, effect=AMBIGUOUS, stage=UNKNOWN, reason=reason, next_recording=following)
+
+
 # Candidates that a sentence holds.
 _LISTED = 4
