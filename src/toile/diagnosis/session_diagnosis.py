@@ -302,7 +302,7 @@ def _report(
     if len(found.clips) > 1:
         verdict = refuted(verdict, evidence.chances, found.left_out.shrinks)
     pairs = zip(session.clips, found.clips, strict=True)
-    frames = {of.folder.name: (clip.n_frames, clip.problem.scene.n_frames) for of, clip in pairs}
+    frames = [(of.folder.name, clip.n_frames, clip.problem.scene.n_frames) for of, clip in pairs]
     verdict = seen_in_part(verdict, frames)
     following = ""
     # A class that is one answer is clear where its members are not.

@@ -188,21 +188,21 @@ def until(verdict: Verdict, frame: int) -> Verdict:
     return replace(verdict, reason=f"{verdict.reason} {note}")
 
 
-def seen_in_part(verdict: Verdict, frames: Mapping[str, tuple[int, int]]) -> Verdict:
+def seen_in_part(verdict: Verdict, frames: Sequence[tuple[str, int, int]]) -> Verdict:
     """The same verdict, saying of which clips tracking has lost the cloth.
 
     What most frames are missing for is no proof that nothing is missing: ``none`` is ambiguous then.
 
     Args:
         verdict: from the frames before.
-        frames: by clip, those in which the tracked motion is that of the cloth, and all of them.
+        frames: name of every clip, frames in which its tracked motion is that of the cloth, and all of them.
     """
-    lost = {clip: known for clip, (known, every) in frames.items() if known < every}
+    lost = [(clip, known) for clip, known, every in frames if known < every]
     if not lost:
         return verdict
-    notes = [f"Tracking loses the cloth in frame {known} of {clip}." for clip, known in lost.items()]
+    notes = [f"Tracking loses the cloth in frame {known} of {clip}." for clip, known in lost]
     reason = " ".join((verdict.reason, *notes, "Only frames before count."))
-    known, every = (sum(counts) for counts in zip(*frames.values(), strict=True))
+    known, every = sum(one[1] for one in frames), sum(one[2] for one in frames)
     if verdict.effect != NONE or 2 * known >= every:
         return replace(verdict, reason=reason)
     reason = " ".join(
