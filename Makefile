@@ -263,26 +263,21 @@ blind: setup ## Make scenes with sealed labels, diagnose them, open the labels: 
 	$(if $(filter standard,$(BLIND)),$(BIN)/python benchmarks/blind_results.py $(BLIND_NAME))
 
 SESSIONS ?= sessions
-SESSIONS_TABLE = $(if $(filter sessions,$(SESSIONS)),table=docs/results/blind_sessions.csv)
+SESSIONS_TABLE = $(if $(filter sessions sessions_short,$(SESSIONS)),table=docs/results/blind_$(SESSIONS).csv)
 
 .PHONY: blind-sessions
 blind-sessions: setup ## The same with sessions of several clips: three clips, one alone, one more as asked for; resumes
 	$(BIN)/toile blind make set=$(SESSIONS) jobs=$(JOBS)
 	$(BIN)/toile blind run set=$(SESSIONS) jobs=$(JOBS)
-	$(BIN)/toile blind run set=$(SESSIONS) jobs=$(JOBS) one_clip=true
+	$(if $(filter sessions_short,$(SESSIONS)),,$(BIN)/toile blind run set=$(SESSIONS) jobs=$(JOBS) one_clip=true)
 	$(BIN)/toile blind run set=$(SESSIONS) jobs=$(JOBS) as_scene=true
 	$(BIN)/toile blind extend set=$(SESSIONS)
 	$(BIN)/toile blind run set=$(SESSIONS) jobs=$(JOBS) extended=true
 	$(BIN)/toile blind grade set=$(SESSIONS) $(SESSIONS_TABLE)
 
 .PHONY: blind-sessions-short
-blind-sessions-short: setup ## Sessions of one clip of 40 frames at 25 a second, then with the clip that each answer asks for; resumes
-	$(BIN)/toile blind make set=sessions_short jobs=$(JOBS)
-	$(BIN)/toile blind run set=sessions_short jobs=$(JOBS)
-	$(BIN)/toile blind run set=sessions_short jobs=$(JOBS) as_scene=true
-	$(BIN)/toile blind extend set=sessions_short
-	$(BIN)/toile blind run set=sessions_short jobs=$(JOBS) extended=true
-	$(BIN)/toile blind grade set=sessions_short table=docs/results/blind_sessions_short.csv
+blind-sessions-short: ## Sessions of one clip of 40 frames at 25 a second, then with the clip that each answer asks for; resumes
+	$(MAKE) blind-sessions SESSIONS=sessions_short
 
 .PHONY: blind-results
 blind-results: setup ## Put a graded set (BLIND_NAME) into the documents: docs/results/blind_standard.md

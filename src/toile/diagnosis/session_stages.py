@@ -11,13 +11,7 @@ from numpy.typing import NDArray
 
 from toile.diagnosis.base_fit import N_WIND
 from toile.diagnosis.fingerprint import fingerprint
-from toile.diagnosis.joint_fit import (
-    JointClip,
-    JointFit,
-    JointFitting,
-    fitted_velocities,
-    joint_clip,
-)
+from toile.diagnosis.joint_fit import JointClip, JointFit, JointFitting, fitted_velocities, joint_clip
 from toile.diagnosis.mechanics import shooting_of, start_material, surroundings
 from toile.diagnosis.model_errors import ModelErrors, model_errors, with_share
 from toile.diagnosis.model_grid import ModelGrid, model_grid
@@ -104,20 +98,18 @@ class RefinedMotion:
 
     Attributes:
         positions: of every clip, on the scene's grid (F, N, 3) [m].
-        material: log ratios of the base model's numbers to their start values (P,); None where none was
-            fitted.
+        values: log ratios of the base model's numbers to their start values, and the winds of all clips
+            (P + 2 C,), where fits begin; None where none was fitted.
         error: of the base model on it, root mean square over the cloth's width; None: as the settings say.
         velocities: of every clip on the model's grid (F, N, 3) [m/s], where fits begin; None: as tracked.
-        winds: of every clip (C, 2) [m/s²], where fits begin; None: none.
         unknowns: of the windows of every clip (W, n_local), in units of their deviations from positions and
             velocities, where fits without forces of their own begin; None: none.
     """
 
     positions: list[Array]
-    material: Array | None
+    values: Array | None
     error: float | None = None
     velocities: list[Array] | None = None
-    winds: Array | None = None
     unknowns: list[Array] | None = None
 
 
@@ -142,9 +134,11 @@ class SessionModel:
         self.clips, self.settings = list(clips), settings
         self.grids = [_grid(clip, settings) for clip in clips]
         start = start_material(self.grids[0], stiffness)
-        values = np.zeros(len(start)) if motion.material is None else motion.material
+        at = len(start)
+        values = np.zeros(at + N_WIND * len(clips)) if motion.values is None else motion.values
+        winds, values = values[at:].reshape(-1, N_WIND), values[:at]
         of_clips = [
-            _joint(clip, grid, motion, k, settings)
+            _joint(clip, grid, motion, k, tuple(winds[k]), settings)
             for k, (clip, grid) in enumerate(zip(clips, self.grids, strict=True))
         ]
         usual = tuple(CATALOGUE[name]() for name in settings.usual)
@@ -173,12 +167,9 @@ class SessionModel:
             step = clip.shooting.substeps
             frames = [windows[0].positions[:1], *(window.positions[step::step] for window in windows)]
             positions.append(np.einsum("vn,fnc->fvc", grid.prolong, np.concatenate(frames)))
-        n = len(self.fitting.start)
         pairs = zip(self.fitting.clips, fit.windows, strict=True)
         velocities = [fitted_velocities(clip.shooting, windows) for clip, windows in pairs]
-        return RefinedMotion(
-            positions, fit.values[:n], velocities=velocities, winds=fit.values[n:].reshape(-1, N_WIND)
-        )
+        return RefinedMotion(positions, fit.values, velocities=velocities)
 
 
 def refined_motion(
@@ -249,9 +240,7 @@ def with_error_found(
         found = model.errors(base).found
         # The windows refer to the same motion as before, so what they differ by is kept, and not their speed.
         unknowns = [np.stack([window.standardised for window in windows]) for windows in base.windows]
-        winds = base.values[len(fitting.start) :].reshape(-1, N_WIND)
-        material = base.values[: len(fitting.start)]
-        motion = replace(motion, error=found, material=material, winds=winds, unknowns=unknowns)
+        motion = replace(motion, error=found, values=base.values, unknowns=unknowns)
     return motion
 
 
@@ -261,7 +250,15 @@ def _grid(clip: SeenClip, settings: SessionSettings) -> ModelGrid:
     return model_grid(problem.scene, problem.reconstruction.cloth, side, settings.law)
 
 
-def _joint(clip: SeenClip, grid: ModelGrid, motion: RefinedMotion, k: int, s: SessionSettings) -> JointClip:
+def _joint(
+    clip: SeenClip,
+    grid: ModelGrid,
+    motion: RefinedMotion,
+    k: int,
+    wind: tuple[float, ...],
+    s: SessionSettings,
+) -> JointClip:
+    """Clip k of a session."""
     positions = motion.positions[k]
     problem = clip.problem
     fps, of_clip = problem.scene.fps, problem.settings.shooting
@@ -295,7 +292,7 @@ def _joint(clip: SeenClip, grid: ModelGrid, motion: RefinedMotion, k: int, s: Se
         forces=free,
         still_air=clip.still_air,
         velocities=None if motion.velocities is None else motion.velocities[k],
-        wind=(0.0,) * N_WIND if motion.winds is None else tuple(motion.winds[k]),
+        wind=wind,
     )
     if motion.unknowns is None or free:
         return joint

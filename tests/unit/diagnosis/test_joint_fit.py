@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -28,7 +29,7 @@ from toile.diagnosis.refits import acting_with
 from toile.diagnosis.session_alias import session_alias
 from toile.diagnosis.session_evidence import base_of_session
 from toile.diagnosis.session_settings import SessionSettings
-from toile.diagnosis.shooting import Shooting, ShootingSettings, cosine_modes
+from toile.diagnosis.shooting import Shooting, ShootingSettings, WindowMotion, cosine_modes
 from toile.diagnosis.softened import ModelError, softened
 from toile.diagnosis.tracked import Tracked
 from toile.effects.base import Effect, Scope, Surroundings
@@ -464,6 +465,11 @@ class TestSharedUnknowns:
         assert layout.base(1).tolist() == [0, 1, 2, 5, 6]
 
 
+def frames_of(windows: Sequence[WindowMotion], substeps: int) -> np.ndarray:
+    """Positions of a fit in all frames (F, N, 3)."""
+    return np.concatenate([windows[0].positions[:1], *(w.positions[substeps::substeps] for w in windows)])
+
+
 class TestLeftOutClip:
     def test_the_cause_predicts_a_clip_that_it_has_not_seen(self, dragged: Problem) -> None:
         whole = dragged.fitting
@@ -482,9 +488,8 @@ class TestLeftOutClip:
         self, dragged: Problem
     ) -> None:
         last = dragged.fitting.clips[-1]
-        step, seen = last.shooting.substeps, last.shooting.tracked
-        windows = dragged.base.windows[-1]
-        fitted = np.concatenate([windows[0].positions[:1], *(w.positions[step::step] for w in windows)])
+        seen = last.shooting.tracked
+        fitted = frames_of(dragged.base.windows[-1], last.shooting.substeps)
         drawn = seen.positions.copy()
         drawn[: len(fitted)] = fitted
         slopes = np.stack(
@@ -510,9 +515,9 @@ class TestLeftOutClip:
 class TestStarts:
     def test_fits_around_what_another_one_found_begin_near_their_end(self, still: Problem) -> None:
         clip = still.fitting.clips[0]
-        windows, step = still.base.windows[0], clip.shooting.substeps
-        frames = np.concatenate([windows[0].positions[:1], *(w.positions[step::step] for w in windows)])
+        windows = still.base.windows[0]
         shooting = copy.copy(clip.shooting)
+        frames = frames_of(windows, shooting.substeps)
         shooting.tracked = replace(shooting.tracked, positions=frames)
 
         def misfit(**begin: Any) -> float:
