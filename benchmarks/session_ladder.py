@@ -224,9 +224,10 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
         MotionEvidence(errors, evidence, learned or None, every, sizes, from_outside),
         SessionWeights.load().of_clips(len(clips)),
     )
-    shrink = _shrink(model, base, fits, moving, truth_is, settings, clips[-1].problem.scene.fps)
+    predicted = _predicted(model, base, fits, chosen, settings, clips[-1].problem.scene.fps)
     for row in rows:
-        row |= {"probability": said[str(row["effect"])], "probability of none": said[NONE], **shrink}
+        name = str(row["effect"])
+        row |= {"probability": said[name], "probability of none": said[NONE], **predicted.get(name, {})}
     return rows
 
 
@@ -240,34 +241,32 @@ def evidence_columns(one: EffectEvidence, which: str = "") -> dict[str, object]:
     }
 
 
-def _shrink(
+def _predicted(
     model: SessionModel,
     base: JointFit,
     fits: Mapping[str, JointFit],
-    moving: Sequence[Effect],
-    truth: str,
+    chosen: Sequence[Effect],
     settings: SessionSettings,
     fps: float,
-) -> dict[str, float]:
-    """How far the cause shrinks the held-out error, and the best placebo; on true positions: the oracle."""
-    effect = {one.NAME: one for one in moving if truth == one.NAME}
-    if not effect:
-        return {}
-    ahead = max(2, round(settings.ahead * fps / 25))
+) -> dict[str, dict[str, float | None]]:
+    """How far every effect that was fitted shrinks the held-out error; on true positions the cause's: the oracle.
+
+    The best placebo is the same for all of them.
+    """
     shrinks = left_out_shrinks(
         model.fitting,
         model.left_out,
         base,
-        {truth: fits[truth]},
-        effect,
-        ahead,
+        {effect.NAME: fits[effect.NAME] for effect in chosen},
+        {effect.NAME: effect for effect in chosen},
+        max(2, round(settings.ahead * fps / 25)),
         settings.placebos,
         settings.seed,
     ).shrinks
-    if truth not in shrinks:
-        return {}
-    best = shrinks[truth].best_placebo
-    return {"shrink": shrinks[truth].estimate, "placebo": float("nan") if best is None else best}
+    return {
+        name: {"held-out shrink": one.estimate, "its low": one.low, "best placebo": one.best_placebo}
+        for name, one in shrinks.items()
+    }
 
 
 def _evidence(against: JointFit, fit: JointFit) -> EffectEvidence:
@@ -318,8 +317,8 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
                 ].max(),
                 "truth over best rival [nats]": of_truth.iloc[0] - rivals if len(of_truth) else np.nan,
                 "its probability": _of_truth(every, truth),
-                "shrink [%]": 100 * _first(every, "shrink"),
-                "best placebo [%]": 100 * _first(every, "placebo"),
+                "shrink [%]": 100 * _first(own[own["effect"] == truth], "held-out shrink"),
+                "best placebo [%]": 100 * _first(own[own["effect"] == truth], "best placebo"),
             }
         )
     return pd.DataFrame(rows)

@@ -574,7 +574,9 @@ class JointFitting:
             here = dict(zip(names, layout.coefficients(clip), strict=True))
             for effect, places in zip(before.effects, before.coefficients(clip), strict=True):
                 coefficients[here[effect.NAME]] = begin.coefficients[places]
-        return replace(begin, names=names, coefficients=coefficients)
+        # Where no step gains anything they act as they are.
+        acting = self._acting(layout, coefficients)
+        return replace(begin, names=names, coefficients=coefficients, effects=acting)
 
     def _acting(self, layout: SharedLayout, coefficients: Array) -> list[tuple[Effect, ...]]:
         return [

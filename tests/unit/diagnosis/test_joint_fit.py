@@ -131,6 +131,15 @@ def damped() -> tuple[JointFitting, JointFit, JointFit]:
 
 
 class TestFits:
+    def test_an_effect_that_no_step_strengthens_is_in_the_model_all_the_same(self, still: Problem) -> None:
+        """Where a fit gains nothing, whoever asks for its effects must find them, at zero."""
+        content = replace(still.fitting.settings, nothing=1e9)
+        fitting = JointFitting(still.fitting.clips, still.fitting.start, np.zeros(3), content)
+        found = fitting.fitted((drag(0.0),), still.base)
+        assert len(found.history) == len(still.base.history)
+        assert [[e.NAME for e in acting] for acting in found.effects] == [["air_drag"]] * len(WINDS)
+        assert all(not acting[0].is_active for acting in found.effects)
+
     def test_the_base_model_finds_what_made_its_clips(self, still: Problem) -> None:
         base = still.base
         assert base.converged
