@@ -89,11 +89,24 @@ SESSIONS = (
     "blender-none:0:303",
     "blender-air_drag:3:304",
 )
+REFINED_ALONE = (
+    *(f"none:0:{seed}" for seed in range(41, 46)),
+    "air_drag:3:31",
+    "gusts:3:32",
+    "nonuniform_density:3:33",
+    "nonuniform_stiffness:3:34",
+    "rest_curvature:3:35",
+    "frame_rate:3:36",
+    "strain_stiffening:3:37",
+    "anisotropic_stiffness:3:38",
+)
+"""More sessions, as a diagnosis of their first clip sees them."""
+REFINED = "refined, one clip"
 RUNGS = (
     "true, one clip",
     "true",
     "tracked, one clip",
-    "refined, one clip",
+    REFINED,
     "refined, one clip, force 0.3",
     "refined",
 )
@@ -338,19 +351,20 @@ def _first(rows: pd.DataFrame, column: str) -> float:
 def main() -> None:
     """Write docs/results/session_ladder.md and its evidence, session_evidence.csv."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--sessions", nargs="+", default=SESSIONS)
-    parser.add_argument("--rungs", nargs="+", default=RUNGS)
+    parser.add_argument("--sessions", nargs="+", default=(*SESSIONS, *REFINED_ALONE))
+    parser.add_argument("--rungs", nargs="+", help="of every session; all of SESSIONS, one of the others")
     parser.add_argument("--known", action="store_true", help="fit nothing: the tables of what is kept")
     parser.add_argument("--output", type=Path, default=Path("docs") / "results" / "session_ladder.md")
     given = parser.parse_args()
     torch.set_num_threads(1)
     register_resolvers()
-    # The first clip is the same, whether others follow or not.
-    alone = all("one clip" in rung for rung in given.rungs)
-    plans = DEFAULT_CLIPS[:1] if alone else DEFAULT_CLIPS
     rows: list[dict[str, object]] = []
     for session in given.sessions:
-        for rung in given.rungs:
+        rungs = given.rungs or ((REFINED,) if session in REFINED_ALONE else RUNGS)
+        # The first clip is the same, whether others follow or not.
+        alone = all("one clip" in rung for rung in rungs)
+        plans = DEFAULT_CLIPS[:1] if alone else DEFAULT_CLIPS
+        for rung in rungs:
             kept = FOLDER / f"{folder_of(session).name}, {rung}.json"
             if not kept.is_file():
                 if given.known:

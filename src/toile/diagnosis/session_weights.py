@@ -46,6 +46,9 @@ _CAUSES = 10.0
 _LAPSE = 0.02
 """Share of cases that teach nothing, because what acts is too small to be seen or a fit has failed."""
 
+_FARTHEST = 5.0
+"""E-folds at most by which the law tells causes from outside apart: a fit may have failed."""
+
 _AT, _SHARES = hermegauss(7)
 """Places, and shares up to a common factor, at which a normal distribution is averaged over."""
 
@@ -72,6 +75,8 @@ class SessionWeights:
         outside_threshold: evidence, the forces within the cloth free, at which a cause from outside and all
             that is not from there are equally probable [nats].
         outside_temperature: evidence by which its odds grow e-fold [nats].
+        rivals: evidence under the law by which the odds of one cause from outside against another grow e-fold
+            [nats].
         outside_spread: deviation of the strength of a cause from outside, as a share of it, beside what its
             fit says and before intervals are widened (DiagnosisSettings.widened).
         strange: squared errors that the best hypothesis leaves, over those of USUAL_SHARE, where something
@@ -89,6 +94,7 @@ class SessionWeights:
     learned: float = 0.5
     outside_threshold: float = 15.0
     outside_temperature: float = 4.0
+    rivals: float = 8.0
     outside_spread: float = 0.14
     strange: float = 4.0
     strangeness: float = 4.0
@@ -136,6 +142,7 @@ class SessionWeights:
             self,
             threshold=of_law * self.threshold,
             temperature=of_law * self.temperature,
+            rivals=of_law * self.rivals,
             outside_threshold=freed * self.outside_threshold,
             outside_temperature=freed * self.outside_temperature,
         )
@@ -242,7 +249,10 @@ class MotionEvidence:
         for at, share in zip(_AT, _SHARES, strict=True):
             wrong = float(np.exp(weights.law_spread * at))
             of_law = replace(
-                weights, threshold=wrong * weights.threshold, temperature=wrong * weights.temperature
+                weights,
+                threshold=wrong * weights.threshold,
+                temperature=wrong * weights.temperature,
+                rivals=wrong * weights.rivals,
             )
             found = self._logits(of_law)
             values = np.array(list(found.values()))
@@ -258,7 +268,8 @@ class MotionEvidence:
 
         Causes from outside are judged first, where that can be done whatever the law is: what fits of a law
         say of causes within the cloth says nothing against them, for there the law's own errors count (a cut
-        between modules, Plummer 2015).
+        between modules, Plummer 2015). Which of them it is the law may help to say, for it is as wrong for
+        one as for another: a flexible cause takes up nearly what another one does where forces are free.
 
         A density is both. What is known of it with the forces within the cloth free falls with every force
         that these are given, as that of an uneven stiffness does, so an error of the law may pass for it
@@ -276,6 +287,7 @@ class MotionEvidence:
             name: (_nats(evidence, 1.0) - weights.outside_threshold) / weights.outside_temperature
             for name, evidence in self.outside.items()
         }
+        freed |= self._apart({n: v for n, v in freed.items() if n not in both}, weights)
         none = [0.0, *(odds[name] - float(np.logaddexp(0.0, freed[name])) for name in sorted(both))]
         odds |= {name: odds[name] - float(np.logaddexp(0.0, -freed[name])) for name in both}
         for name, value in odds.items():
@@ -297,6 +309,16 @@ class MotionEvidence:
             odds[NONE] = float(np.logaddexp(odds[NONE], not_outside + value - np.logaddexp(0.0, beyond)))
             odds[name] = float(not_outside + value - np.logaddexp(0.0, -beyond))
         return odds
+
+    def _apart(self, freed: Mapping[str, float], weights: SessionWeights) -> dict[str, float]:
+        """Log odds of causes from outside, with what a law says of them among themselves; their sum stays."""
+        of_law = {name: self.nats(name) / weights.rivals for name in freed if name in self.effects}
+        if len(of_law) < 2:
+            return dict(freed)
+        best = max(of_law.values())
+        told = {name: freed[name] + max(value - best, -_FARTHEST) for name, value in of_law.items()}
+        before, after = (np.logaddexp.reduce([of[name] for name in told]) for of in (freed, told))
+        return {**freed, **{name: float(value + before - after) for name, value in told.items()}}
 
 
 @dataclass(frozen=True)

@@ -109,6 +109,29 @@ def test_causes_from_outside_are_judged_by_what_free_forces_leave_alone() -> Non
     assert found["air_drag"] > 0.99 > 0.01 > found["nonuniform_density"]
 
 
+def rivals(of_law: tuple[float, float], freed: tuple[float, float] = (60.0, 57.0)) -> MotionEvidence:
+    """Drag and damping as if both came from outside, with what law and free forces say of them [nats]."""
+    outside = dict(list(evidence((*freed, 2.0)).effects.items())[:2])
+    return replace(evidence((*of_law, 2.0)), outside=outside)
+
+
+def test_the_law_tells_causes_from_outside_apart_where_free_forces_cannot() -> None:
+    weights = SessionWeights()
+    alike, other = (chances(rivals(law), weights) for law in ((20.0, 20.0), (20.0, 100.0)))
+    assert alike["air_drag"] > alike["internal_damping"]
+    assert other["internal_damping"] > 0.9
+    # Whether anything acts from outside is left to the free forces.
+    assert alike[NONE] == pytest.approx(other[NONE], rel=1e-6)
+    weak = [chances(rivals(law, (14.0, 12.0)), weights)[NONE] for law in ((20.0, 20.0), (20.0, 100.0))]
+    assert weak[0] == pytest.approx(weak[1], rel=1e-6)
+
+
+def test_a_fit_that_failed_does_not_rule_a_cause_from_outside_out() -> None:
+    """A clock of 200 nats had none under the law: its fit could not move."""
+    found = chances(rivals((0.0, 900.0), (90.0, 50.0)), SessionWeights())
+    assert found["air_drag"] > found["internal_damping"]
+
+
 def test_a_density_is_named_only_where_both_modules_have_it() -> None:
     """It scales what forces within the cloth do, so each module alone may take a wrong law for it."""
     weights = SessionWeights()
