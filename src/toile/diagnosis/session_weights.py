@@ -94,7 +94,7 @@ class SessionWeights:
     learned: float = 0.5
     outside_threshold: float = 15.0
     outside_temperature: float = 4.0
-    rivals: float = 8.0
+    rivals: float = 16.0
     outside_spread: float = 0.14
     strange: float = 4.0
     strangeness: float = 4.0
