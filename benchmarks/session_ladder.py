@@ -237,7 +237,8 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
         MotionEvidence(errors, evidence, learned or None, every, sizes, from_outside),
         SessionWeights.load().of_clips(len(clips)),
     )
-    predicted = _predicted(model, base, fits, chosen, settings, clips[-1].problem.scene.fps)
+    fps, exact = clips[-1].problem.scene.fps, rung.startswith("true")
+    predicted = _predicted(model, base, fits, chosen, settings, fps, exact=exact)
     for row in rows:
         name = str(row["effect"])
         row |= {"probability": said[name], "probability of none": said[NONE], **predicted.get(name, {})}
@@ -261,8 +262,10 @@ def _predicted(
     chosen: Sequence[Effect],
     settings: SessionSettings,
     fps: float,
+    *,
+    exact: bool,
 ) -> dict[str, dict[str, float | None]]:
-    """How far every effect that was fitted shrinks the held-out error; on true positions the cause's: the oracle.
+    """How far every effect that was fitted shrinks the held-out error; on true positions: the oracle.
 
     The best placebo is the same for all of them.
     """
@@ -275,6 +278,7 @@ def _predicted(
         max(2, round(settings.ahead * fps / 25)),
         settings.placebos,
         settings.seed,
+        None if exact else model.last_clip_of,
     ).shrinks
     return {
         name: {"held-out shrink": one.estimate, "its low": one.low, "best placebo": one.best_placebo}

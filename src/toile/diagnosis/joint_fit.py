@@ -347,22 +347,29 @@ class JointFitting:
 
     def start_fit(self, workers: Workers = ALONE) -> JointFit:
         """The base model where fits begin, without any effect, simulated."""
+        return self.started((), np.zeros(0), workers)
+
+    def started(self, effects: Sequence[Effect], coefficients: Array, workers: Workers = ALONE) -> JointFit:
+        """A hypothesis where fits begin, simulated.
+
+        Args:
+            effects: of the hypothesis, at zero or anywhere.
+            coefficients: theirs, in prior deviations, see SharedLayout (n,).
+            workers: share the windows of a clip.
+        """
         values = np.concatenate((self._values, *(clip.wind for clip in self.clips)))
-        layout = self.layout(())
-        windows = [
-            simulated_windows(
-                clip.shooting,
-                clip.windows,
-                [window.standardised for window in clip.windows],
-                base_of(self.start, values[layout.base(c)]),
-                workers=workers,
-            )
-            for c, clip in enumerate(self.clips)
-        ]
-        none: list[tuple[Effect, ...]] = [()] * len(self.clips)
-        cost = self._cost(layout, windows, values, np.zeros(0))
-        nothing = np.zeros((0, 0))
-        return JointFit((), values, np.zeros(0), nothing, windows, none, cost, (cost,), 0.0, False)
+        layout = self.layout(effects)
+        acting = self._acting(layout, coefficients)
+        windows = []
+        for c, clip in enumerate(self.clips):
+            base = base_of(self.start, values[layout.base(c)])
+            given = clip.shooting.with_effects(acting[c], clip.around, base)
+            own = [window.standardised for window in clip.windows]
+            windows.append(simulated_windows(clip.shooting, clip.windows, own, base, given, workers))
+        cost = self._cost(layout, windows, values, coefficients)
+        names = tuple(effect.NAME for effect in layout.effects)
+        covariance = np.diag(self._inflations(layout) ** 2)
+        return JointFit(names, values, coefficients, covariance, windows, acting, cost, (cost,), 0.0, False)
 
     def expected(self, values: Array) -> JointFit:
         """The base model with these values and the clips' windows as they are; nothing is fitted.

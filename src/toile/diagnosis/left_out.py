@@ -1,14 +1,16 @@
 """How far the error shrinks on a whole clip that no fit has seen.
 
 Material and effects come from the other clips. The clip left out is predicted piece by piece: from where the
-cloth was tracked, and as fast as it was, some frames ahead with nothing free. Its images judge, since the
-tracked motion has been refined by the base model. Its wind is that of the hypothesis' own fit to all clips,
-since no other clip knows of it; base model and effect have that advantage alike.
+cloth is, and as fast as it is, some frames ahead with nothing free. Where it is and how fast, in depth above
+all, images hardly say, and a law that is wrong has drawn it to where that law is right; so every hypothesis
+begins with the motion that it has refined itself. The same images judge all of them. The clip's wind is that
+of the hypothesis' own fit to all clips, since no other clip knows of it; base model and effect have these
+advantages alike.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,6 +26,7 @@ from toile.diagnosis.shrinkage import PredictionSettings, interval, shrink_of
 from toile.effects.base import Effect, Scope
 
 Array = NDArray[np.float64]
+Refine = Callable[[tuple[Effect, ...], JointFit], JointClip]
 
 _SIZES = (0.05, 0.15, 0.4)
 """Of the placebos' forces [m/s²]."""
@@ -51,6 +54,7 @@ def left_out_shrinks(
     ahead: int,
     placebos: int,
     seed: int,
+    refine: Refine | None = None,
 ) -> LeftOut:
     """Errors of the predictions of the last clip, with and without effects.
 
@@ -64,22 +68,25 @@ def left_out_shrinks(
         ahead: frames of a piece.
         placebos: force fields without meaning; the best one counts.
         seed: of those.
+        refine: gives the last clip around the motion that a hypothesis refines it to; None: all begin with
+            the motion that there is.
     """
     clip = whole.clips[-1]
+    judge = ImageError(clip.shooting.tracked)
     usual = whole.usual_in(base)
     chosen: dict[str, tuple[tuple[Effect, ...], JointFit]] = {"": (usual, base)}
     chosen |= {name: (_effects_of(fit, usual, effects[name]), fit) for name, fit in fits.items()}
     errors: dict[str, Array | None] = {}
-    ours = _Predictor(clip, ahead)
     for name, (own, fit) in chosen.items():
+        predictor = _Predictor(clip if refine is None else refine(own, fit), ahead, judge)
         others = fit if without is None else without.fitted(own, _cut(whole, without, own, fit))
         last = whole.layout(own)
         wind = fit.values[last.base(len(whole.clips) - 1)][-N_WIND:]
         values = np.concatenate((others.values[: last.n_material], wind))
         acting = _acting(whole, without, own, others, fit)
-        errors[name] = ours.errors(base_of(whole.start, values), acting)
+        errors[name] = predictor.errors(base_of(whole.start, values), acting)
         if not name:
-            model, plain = base_of(whole.start, values), acting
+            ours, model, plain = predictor, base_of(whole.start, values), acting
     without_effect = errors.pop("")
     if without_effect is None:
         return LeftOut({}, ())
@@ -117,15 +124,16 @@ class _Predictor:
     Args:
         clip: to predict.
         ahead: frames of a piece.
+        judge: of predicted frames.
     """
 
-    def __init__(self, clip: JointClip, ahead: int) -> None:
+    def __init__(self, clip: JointClip, ahead: int, judge: ImageError) -> None:
         n = clip.windows[-1].last + 1
         self.shooting = clip.shooting.with_window(ahead)
         self.windows = tracked_windows(self.shooting, n)
         self.around = clip.around
         self.frames = tuple(range(1, n))
-        self.error = ImageError(self.shooting.tracked)
+        self.error = judge
 
     def errors(self, base: Base, effects: tuple[Effect, ...], field: Array | None = None) -> Array | None:
         """Of every predicted frame (F - 1,) [m], see ImageError; None where a step fails.

@@ -131,7 +131,7 @@ class SessionModel:
         stiffness: tuple[float, float, float],
     ) -> None:
         settings = replace(settings, model_error=with_share(settings.model_error, motion.error))
-        self.clips, self.settings = list(clips), settings
+        self.clips, self.settings, self._stiffness = list(clips), settings, stiffness
         self.grids = [_grid(clip, settings) for clip in clips]
         start = start_material(self.grids[0], stiffness)
         at = len(start)
@@ -159,6 +159,31 @@ class SessionModel:
             model_errors(clip.shooting, windows, self.width, self.settings.model_error)
             for clip, windows in zip(self.fitting.clips, fit.windows, strict=True)
         )
+
+    def last_clip_of(self, effects: Sequence[Effect], fit: JointFit, workers: Workers = ALONE) -> JointClip:
+        """The last clip around the motion that a hypothesis refines it to, in one round of that clip alone.
+
+        Args:
+            effects: of the hypothesis; () for the base model without any.
+            fit: of it, to all clips.
+            workers: share the windows of the clip.
+        """
+        last = len(self.clips) - 1
+        layout = self.fitting.layout(effects)
+        seen, motion = self.clips[last:], self.refined(fit)
+        assert motion.velocities is not None
+        motion = RefinedMotion(
+            motion.positions[last:],
+            fit.values[layout.base(last)],
+            self.settings.model_error.share,
+            motion.velocities[last:],
+        )
+        alone = SessionModel(seen, motion, refining(self.settings), self._stiffness)
+        there = np.concatenate([np.zeros(0, np.intp), *layout.coefficients(last)])
+        begin = alone.fitting.started(effects, fit.coefficients[there], workers)
+        found = alone.refined(alone.fitting.fitted(effects, begin, workers))
+        found = replace(found, error=motion.error)
+        return SessionModel(seen, found, self.settings, self._stiffness).fitting.clips[0]
 
     def refined(self, fit: JointFit) -> RefinedMotion:
         """The motion of a fit, on the scenes' grids."""
@@ -191,14 +216,8 @@ def refined_motion(
     """
     motion = RefinedMotion([clip.tracked.positions[: clip.n_frames] for clip in clips], None)
     s = settings.refining
-    looser = replace(
-        settings,
-        jump_position=s.jumps * settings.jump_position,
-        jump_velocity=s.jumps * settings.jump_velocity,
-        fit=replace(settings.fit, passes=s.passes),
-    )
     for _ in range(s.rounds):
-        model = SessionModel(clips, motion, looser, stiffness)
+        model = SessionModel(clips, motion, refining(settings), stiffness)
         fit = model.fitting.fitted((), model.fitting.start_fit(workers), workers)
         error = model.errors(fit).found
         # The model may be righter than was thought: then images hold the motion more tightly next time.
@@ -206,6 +225,17 @@ def refined_motion(
         if _change(before, motion) < s.steady * error * model.width:
             break
     return with_error_found(clips, motion, settings, stiffness, workers)
+
+
+def refining(settings: SessionSettings) -> SessionSettings:
+    """The settings of one round of refining: looser jumps, few passes."""
+    s = settings.refining
+    return replace(
+        settings,
+        jump_position=s.jumps * settings.jump_position,
+        jump_velocity=s.jumps * settings.jump_velocity,
+        fit=replace(settings.fit, passes=s.passes),
+    )
 
 
 def _change(before: RefinedMotion, after: RefinedMotion) -> float:

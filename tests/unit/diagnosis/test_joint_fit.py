@@ -15,6 +15,7 @@ from toile.diagnosis.base_fit import base_of, base_sensitivities, local_scales, 
 from toile.diagnosis.effect_size import displacement
 from toile.diagnosis.hem import Hem
 from toile.diagnosis.joint_fit import (
+    JointClip,
     JointFit,
     JointFitSettings,
     JointFitting,
@@ -520,6 +521,29 @@ class TestLeftOutClip:
         # Where images know better than the motion they are linearised at, and where they do not.
         assert shrink(slopes) > shrink(np.zeros_like(slopes)) + 0.05
 
+    def test_every_hypothesis_begins_with_the_motion_that_it_has_found(self, dragged: Problem) -> None:
+        last = dragged.fitting.clips[-1]
+        shooting, seen = copy.copy(last.shooting), last.shooting.tracked
+        aside = np.zeros_like(seen.positions)
+        aside[:, np.setdiff1d(np.arange(aside.shape[1]), last.around.cloth.pinned)] = 0.01
+        slopes = np.stack(
+            [(A @ x.reshape(-1)).reshape(-1, 3) for A, x in zip(seen.information, aside, strict=True)]
+        )
+        shooting.tracked = replace(seen, positions=seen.positions + aside, gradient=slopes)
+        drawn = replace(last, shooting=shooting)
+        whole = JointFitting([*dragged.fitting.clips[:-1], drawn], dragged.fitting.start, np.zeros(3))
+        fits, effects = {"air_drag": dragged.drag}, {"air_drag": drag(0.0)}
+
+        def refine(acting: tuple[Effect, ...], fit: JointFit) -> JointClip:
+            return last if acting else drawn
+
+        alike, own = (
+            left_out_shrinks(whole, None, dragged.base, fits, effects, 6, 0, 0, how).shrinks["air_drag"]
+            for how in (None, refine)
+        )
+        assert own.base == alike.base
+        assert own.with_effect < 0.7 * alike.with_effect
+
 
 class TestStarts:
     def test_fits_around_what_another_one_found_begin_near_their_end(self, still: Problem) -> None:
@@ -537,9 +561,10 @@ class TestStarts:
         near = misfit(velocities=fitted_velocities(clip.shooting, windows), wind=wind)
         assert near < 0.2 * misfit()
 
-    def test_fits_of_the_same_motion_begin_where_another_one_has_ended(self, still: Problem) -> None:
-        pairs = zip(still.fitting.clips, still.base.windows, strict=True)
-        values = still.base.values
+    @staticmethod
+    def again(fitting: JointFitting, fit: JointFit) -> JointFitting:
+        """Fits that begin where one has ended."""
+        values = fit.values
         clips = [
             replace(
                 clip,
@@ -549,10 +574,20 @@ class TestStarts:
                     for begin, end in zip(clip.windows, ended, strict=True)
                 ],
             )
-            for c, (clip, ended) in enumerate(pairs)
+            for c, (clip, ended) in enumerate(zip(fitting.clips, fit.windows, strict=True))
         ]
-        again = JointFitting(clips, still.fitting.start, values[:3]).start_fit()
+        return JointFitting(clips, fitting.start, values[:3])
+
+    def test_fits_of_the_same_motion_begin_where_another_one_has_ended(self, still: Problem) -> None:
+        again = self.again(still.fitting, still.base).start_fit()
         assert again.misfit == pytest.approx(still.base.misfit, abs=0.01)
+
+    def test_a_hypothesis_begins_where_it_has_ended(self, dragged: Problem) -> None:
+        drags, found = self.again(dragged.fitting, dragged.drag), dragged.drag
+        begin = drags.started((drag(0.0),), found.coefficients)
+        assert begin.misfit == pytest.approx(found.misfit, abs=0.01)
+        assert begin.names == found.names
+        assert drags.start_fit().misfit > begin.misfit + 10
 
 
 class TestAliases:
