@@ -371,6 +371,22 @@ class JointFitting:
         covariance = np.diag(self._inflations(layout) ** 2)
         return JointFit(names, values, coefficients, covariance, windows, acting, cost, (cost,), 0.0, False)
 
+    def started_like(self, fit: JointFit, workers: Workers = ALONE) -> JointFit:
+        """The usual effects as strong as in a fit around another motion of the same clips, with its forces.
+
+        Args:
+            fit: of the usual effects.
+            workers: share the windows of a clip.
+        """
+        pushed = copy.copy(self)
+        pushed.clips = [
+            replace(
+                clip, windows=[_pushed(clip.shooting, *pair) for pair in zip(clip.windows, own, strict=True)]
+            )
+            for clip, own in zip(self.clips, fit.windows, strict=True)
+        ]
+        return pushed.started(self.usual, fit.coefficients, workers)
+
     def expected(self, values: Array) -> JointFit:
         """The base model with these values and the clips' windows as they are; nothing is fitted.
 
@@ -840,6 +856,13 @@ class JointFitting:
         wide = self._inflations(layout)
         _, whole = np.linalg.slogdet(inside / np.outer(wide, wide))
         return inside, float(-0.5 * whole)
+
+
+def _pushed(shooting: Shooting, window: WindowMotion, like: WindowMotion) -> WindowMotion:
+    """A window with the forces of another one."""
+    first = shooting.layout(window.last - window.first)[1]
+    unknowns = np.concatenate((window.standardised[:first], like.standardised[first:]))
+    return replace(window, standardised=unknowns)
 
 
 def _predicted(window: WindowMotion, system: WindowSystem, step: Array) -> WindowMotion:

@@ -124,16 +124,18 @@ def freed_fit(
     of_fits = replace(settings.fit, force=freed.force, outside=freed.outside, passes=freed.passes)
     held = min(freed.held, settings.held)
     settings = replace(settings, fit=of_fits, held=held)
+    base: JointFit | None = None
     for rounds_left in range(freed.rounds, -1, -1):
         model = SessionModel(clips, motion, settings, stiffness)
-        fitting = model.fitting
+        fitting = model.fitting.with_usual((Hem(),))
         if any(clip.shooting.n_external == 0 for clip in fitting.clips):
             return None
-        fitting.usual = (Hem(),)
-        base = fitting.fitted(fitting.usual, fitting.start_fit(workers), workers)
+        begin = fitting.start_fit(workers) if base is None else fitting.started_like(base, workers)
+        base = fitting.fitted(fitting.usual, begin, workers)
         if rounds_left:
             # The quadratic of the images is that around another motion, with corners elsewhere.
             motion = replace(model.refined(base), error=motion.error)
+    assert base is not None
     return fitting, base, model.width
 
 

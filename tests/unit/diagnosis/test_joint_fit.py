@@ -283,9 +283,9 @@ class TestWrongClock:
 class TestCausesFromOutside:
     """Forces within the cloth are free: the law does not matter, what acts from outside does."""
 
-    def found(self, *acting: Effect) -> tuple[OutsideCauses, float]:
-        """What is found, and what a density that varies gains in a fit under the law [nats]."""
-        candidates = [CATALOGUE[name]() for name in OUTSIDE if name not in ("gusts", "gravity_tilt")]
+    @staticmethod
+    def free(*acting: Effect) -> tuple[JointFitting, Shooting, Surroundings]:
+        """Fits to one clip with free forces within the cloth, and its problem."""
         shooting, around = clip(WINDS[0], acting)
         short = replace(
             shooting.settings,
@@ -303,6 +303,12 @@ class TestCausesFromOutside:
         freed = JointFitSettings(force=1.6, outside=0.002, passes=8)
         free = JointFitting([joint_clip(problem, around, FRAMES, forces=True)], STIFFNESS, np.zeros(3), freed)
         free.usual = (Hem(),)
+        return free, problem, around
+
+    def found(self, *acting: Effect) -> tuple[OutsideCauses, float]:
+        """What is found, and what a density that varies gains in a fit under the law [nats]."""
+        candidates = [CATALOGUE[name]() for name in OUTSIDE if name not in ("gusts", "gravity_tilt")]
+        free, problem, around = self.free(*acting)
         base = free.fitted(free.usual, free.start_fit())
         bound = JointFitting([joint_clip(problem, around, FRAMES)], STIFFNESS, np.zeros(3))
         of_law = bound.fitted((), bound.start_fit())
@@ -325,6 +331,18 @@ class TestCausesFromOutside:
         assert max(nats, key=lambda one: nats[one]) == name
         assert nats[name] > 4
         assert causes[name].displacement.last > 0.01
+
+    def test_fits_go_on_with_the_forces_that_another_one_has_found(self) -> None:
+        free, _, _ = self.free(CATALOGUE["rest_curvature"]({"axis_0": 12.0}))
+        found = free.fitted(free.usual, free.start_fit())
+        again = free.started_like(found)
+        assert again.misfit < 0.8 * free.start_fit().misfit
+        assert again.coefficients == pytest.approx(found.coefficients)
+        # Starts and corners are those of the new motion.
+        first = free.clips[0].shooting.layout(1)[1]
+        for window, before in zip(again.windows[0], found.windows[0], strict=True):
+            assert not window.standardised[:first].any()
+            assert np.array_equal(window.standardised[first:], before.standardised[first:])
 
     def test_what_acts_within_leaves_no_trace(self) -> None:
         curled, uneven = {"axis_0": 12.0}, {"stretching": 1.5, "bending": 1.5}
