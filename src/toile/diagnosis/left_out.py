@@ -78,7 +78,13 @@ def left_out_shrinks(
     chosen |= {name: (_effects_of(fit, usual, effects[name]), fit) for name, fit in fits.items()}
     errors: dict[str, Array | None] = {}
     for name, (own, fit) in chosen.items():
-        predictor = _Predictor(clip if refine is None else refine(own, fit), ahead, judge)
+        try:
+            there = clip if refine is None else refine(own, fit)
+        except FloatingPointError:
+            # A step fails where the hypothesis begins, so it predicts nothing.
+            errors[name] = None
+            continue
+        predictor = _Predictor(there, ahead, judge)
         others = fit if without is None else without.fitted(own, _cut(whole, without, own, fit))
         last = whole.layout(own)
         wind = fit.values[last.base(len(whole.clips) - 1)][-N_WIND:]

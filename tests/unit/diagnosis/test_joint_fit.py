@@ -562,6 +562,14 @@ class TestLeftOutClip:
         assert own.base == alike.base
         assert own.with_effect < 0.7 * alike.with_effect
 
+        def failing(acting: tuple[Effect, ...], fit: JointFit) -> JointClip:
+            if acting:
+                raise FloatingPointError("a step fails")
+            return drawn
+
+        # Who cannot begin predicts nothing, and the others go on.
+        assert left_out_shrinks(whole, None, dragged.base, fits, effects, 6, 0, 0, failing).shrinks == {}
+
 
 class TestStarts:
     def test_fits_around_what_another_one_found_begin_near_their_end(self, still: Problem) -> None:
