@@ -455,7 +455,9 @@ def page(table: pd.DataFrame) -> str:
     lines += [
         "Leads and gains are those under a law; probabilities are of all evidence, causes from outside "
         "judged with the forces within the cloth free. The shrink is that of the fitted cause on the clip "
-        "that was left out (of one clip: on pieces of it); on true positions it is what could be reached.",
+        "that was left out (of one clip: on pieces of it); on true positions it is what could be reached. "
+        "Lines since 73b28d3 have it; at 73b28d3 pieces begin with the base model's motion, later with "
+        "that of each hypothesis.",
         "",
     ]
     for column in (

@@ -218,7 +218,7 @@ def write(cases: Mapping[str, Sequence[SessionCase]]) -> None:
     source = json.loads(SHIPPED.read_text())["source"]
     n = len({case.session for case in everything})
     if weights != before:
-        how = f"law_spread{'' if best['weights'] == 'as before' else ' and all within the cloth'}"
+        how = f"law_spread, rivals{'' if best['weights'] == 'as before' else ' and all within the cloth'}"
         weights.write(SHIPPED, f"{source}; {how}: {n} sessions of docs/results/session_weights.md")
     shown = {"index": False, "floatfmt": ".2f"}
     without = replace(weights, law_spread=0.0)

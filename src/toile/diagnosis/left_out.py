@@ -4,8 +4,8 @@ Material and effects come from the other clips. The clip left out is predicted p
 cloth is, and as fast as it is, some frames ahead with nothing free. Where it is and how fast, in depth above
 all, images hardly say, and a law that is wrong has drawn it to where that law is right; so every hypothesis
 begins with the motion that it has refined itself. The same images judge all of them. The clip's wind is that
-of the hypothesis' own fit to all clips, since no other clip knows of it; base model and effect have these
-advantages alike.
+of the hypothesis' own fit to all clips, since no other clip knows of it. So starts and wind have seen what is
+predicted, those of base model and effect alike; placebos begin with the base model's.
 """
 
 from __future__ import annotations
