@@ -397,13 +397,22 @@ class JointFitting:
         windows = [clip.windows for clip in self.clips]
         return JointFit((), values, np.zeros(0), np.zeros((0, 0)), windows, none, 0.0, (0.0,), 0.0, False)
 
-    def fitted(self, effects: Sequence[Effect], begin: JointFit, workers: Workers = ALONE) -> JointFit:
+    def fitted(
+        self,
+        effects: Sequence[Effect],
+        begin: JointFit,
+        workers: Workers = ALONE,
+        *,
+        spread: bool = True,
+    ) -> JointFit:
         """A hypothesis at its best.
 
         Args:
             effects: of the hypothesis, at zero or anywhere; () for the base model.
             begin: the base model, or a fit of some of these effects.
             workers: share the windows of a clip.
+            spread: whether the coefficients' covariance is asked for. Without, it stays that of where the
+                last tangents were made: those at the end, which cost as much as a pass, are not.
         """
         layout = self.layout(effects)
         place = self._placed(layout, begin)
@@ -411,8 +420,9 @@ class JointFitting:
         converged = False
         damped = self.clips[0].shooting.settings.damping
         evidence = self._evidence(layout, place, workers)
+        spread = spread and layout.n_coefficients > 0
         little = 0
-        for _ in range(self.settings.passes):
+        for k in range(self.settings.passes):
             moved, damping, trusted = self._step(layout, place, evidence, damping, workers)
             if moved is None:
                 # Nothing to gain, or nowhere to go: the quadratic does not hold even for short steps.
@@ -423,12 +433,14 @@ class JointFitting:
             gained = place.misfit - moved.misfit
             place = moved
             history.append(place.misfit)
-            evidence = self._evidence(layout, place, workers)
             # One short step is no sign of having arrived, two are.
             nothing = max(self.settings.converged * abs(place.misfit), self.settings.nothing)
             little = little + 1 if gained < nothing else 0
-            if little and (damping == 0 or little > 1):
-                converged = True
+            converged = little > 0 and (damping == 0 or little > 1)
+            ends = converged or k == self.settings.passes - 1
+            if spread or not ends:
+                evidence = self._evidence(layout, place, workers)
+            if ends:
                 break
             if trusted:
                 damping = damped.less(damping)

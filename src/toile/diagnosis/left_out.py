@@ -24,6 +24,7 @@ from toile.diagnosis.refits import acting_with
 from toile.diagnosis.shooting import Base, cosine_modes
 from toile.diagnosis.shrinkage import PredictionSettings, interval, shrink_of
 from toile.effects.base import Effect, Scope
+from toile.workers import ALONE, Workers
 
 Array = NDArray[np.float64]
 Refine = Callable[[tuple[Effect, ...], JointFit], JointClip]
@@ -55,6 +56,7 @@ def left_out_shrinks(
     placebos: int,
     seed: int,
     refine: Refine | None = None,
+    workers: Workers = ALONE,
 ) -> LeftOut:
     """Errors of the predictions of the last clip, with and without effects.
 
@@ -70,6 +72,7 @@ def left_out_shrinks(
         seed: of those.
         refine: gives the last clip around the motion that a hypothesis refines it to; None: all begin with
             the motion that there is.
+        workers: share the windows of a clip.
     """
     clip = whole.clips[-1]
     judge = ImageError(clip.shooting.tracked)
@@ -85,7 +88,11 @@ def left_out_shrinks(
             errors[name] = None
             continue
         predictor = _Predictor(there, ahead, judge)
-        others = fit if without is None else without.fitted(own, _cut(whole, without, own, fit))
+        others = (
+            fit
+            if without is None
+            else without.fitted(own, _cut(whole, without, own, fit), workers, spread=False)
+        )
         last = whole.layout(own)
         wind = fit.values[last.base(len(whole.clips) - 1)][-N_WIND:]
         values = np.concatenate((others.values[: last.n_material], wind))

@@ -131,7 +131,7 @@ def freed_fit(
         if any(clip.shooting.n_external == 0 for clip in fitting.clips):
             return None
         begin = fitting.start_fit(workers) if base is None else fitting.started_like(base, workers)
-        base = fitting.fitted(fitting.usual, begin, workers)
+        base = fitting.fitted(fitting.usual, begin, workers, spread=rounds_left == 0)
         if rounds_left:
             # The quadratic of the images is that around another motion, with corners elsewhere.
             motion = replace(model.refined(base), error=motion.error)

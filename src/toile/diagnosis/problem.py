@@ -6,7 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from functools import cache
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from toile.diagnosis.fingerprint import code_fingerprint, fingerprint
 from toile.diagnosis.mechanics import Mechanics, mechanics_around, shooting_of, surroundings
@@ -24,6 +26,8 @@ from toile.reconstruction.gauss_newton.recipe import TrackingRecipe
 from toile.reconstruction.image_terms.texture_points import TexturePointTerm
 from toile.reconstruction.problem import Reconstruction
 from toile.scenes.scene import Scene
+
+Array = NDArray[np.float64]
 
 # What of a scene a diagnosis looks at: everything but what it is called, where it lies, and the truth.
 _SEEN = [f.name for f in fields(Scene) if f.name not in ("name", "source", "notes", "ground_truth")]
@@ -70,6 +74,7 @@ class DiagnosisProblem:
         self.mechanics = cache(self._mechanics)
         self.converged_mechanics = cache(self._converged_mechanics)
         self._shooting = cache(self._new_shooting)
+        self._images: tuple[Array, Array, Tracked] | None = None
 
     def n_used(self, seen: Seen) -> int:
         """Frames that are fitted: as many as are meant to be, as long as tracking keeps the cloth."""
@@ -77,6 +82,23 @@ class DiagnosisProblem:
 
     def _image_term(self) -> TexturePointTerm:
         return TexturePointTerm.of(self.reconstruction, point_settings(self.recipe), self.settings.seed)
+
+    def images_around(self, positions: Array, grid: ModelGrid) -> Tracked:
+        """The image term around a motion; that around the last one asked for is kept.
+
+        Args:
+            positions: on the scene's grid (F, N, 3) [m].
+            grid: of the model.
+        """
+        kept = self._images
+        if kept is None or not (
+            kept[0].shape == positions.shape
+            and np.array_equal(kept[0], positions)
+            and np.array_equal(kept[1], grid.prolong)
+        ):
+            found = tracked_motion(self.reconstruction, positions, grid, self.image_term())
+            self._images = kept = (positions.copy(), grid.prolong, found)
+        return kept[2]
 
     def _levels(self, tracked: TrackedMotion) -> list[tuple[ModelGrid, Tracked]]:
         return [

@@ -245,6 +245,7 @@ def diagnose_session(
         together.placebos,
         together.seed,
         lambda own, fit: model.last_clip_of(own, fit, workers),
+        workers,
     )
     progress("answer", 0.99)
     found = _Found(clips, model, base, fits, evidence, weights, alias, left_out, gains, displacements, second)

@@ -22,7 +22,6 @@ from toile.diagnosis.results import Seen, TrackedMotion
 from toile.diagnosis.session_settings import SessionSettings
 from toile.diagnosis.softened import softened
 from toile.diagnosis.stages import DiagnosisStages
-from toile.diagnosis.tracked import tracked_motion
 from toile.effects.base import Effect
 from toile.effects.catalogue import CATALOGUE
 from toile.workers import ALONE, Workers
@@ -181,7 +180,7 @@ class SessionModel:
         alone = SessionModel(seen, motion, refining(self.settings), self._stiffness)
         there = np.concatenate([np.zeros(0, np.intp), *layout.coefficients(last)])
         begin = alone.fitting.started(effects, fit.coefficients[there], workers)
-        found = alone.refined(alone.fitting.fitted(effects, begin, workers))
+        found = alone.refined(alone.fitting.fitted(effects, begin, workers, spread=False))
         found = replace(found, error=motion.error)
         return SessionModel(seen, found, self.settings, self._stiffness).fitting.clips[0]
 
@@ -297,7 +296,7 @@ def _joint(
         pinned = list(problem.scene.pinned_vertices)
         positions = positions.copy()
         positions[:, pinned] = problem.scene.template.reshape(-1, 3)[pinned].numpy()
-    tracked = tracked_motion(problem.reconstruction, positions, grid, problem.image_term())
+    tracked = problem.images_around(positions, grid)
     tracked = softened(tracked, grid.cloth_size[0], fps, s.likelihood_weight, s.model_error)
     window, jumps = s.windows_at(fps)
     own = replace(

@@ -13,7 +13,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import lapack
 
 from toile.diagnosis.tracked import Tracked
 from toile.limits import Count, Positive, Unit
@@ -61,11 +61,25 @@ def softened(
     for frame, matrix in enumerate(tracked.information):
         dense = matrix.toarray() if isinstance(matrix, sparse.csr_matrix) else np.asarray(matrix)
         image = likelihood_weight * dense.astype(np.float64)
-        image = 0.5 * (image + image.T)
-        # (I⁻¹ + σ² 1)⁻¹ without I⁻¹, which is not there where points are hidden.
-        factor = cho_factor(eye + variance * image, lower=True)
-        soft = cho_solve(factor, image)
-        information.append((0.5 * (soft + soft.T)).astype(np.float32))
+        # (I⁻¹ + σ² 1)⁻¹ without I⁻¹, which is not there where points are hidden; (1 - (1 + σ² I)⁻¹) / σ².
+        kept = _inverse(eye + 0.5 * variance * (image + image.T))
+        information.append(((eye - kept) / variance).astype(np.float32))
         slope = likelihood_weight * tracked.gradient[frame].reshape(-1)
-        gradient[frame] = cho_solve(factor, slope).reshape(n, 3)
+        gradient[frame] = (kept @ slope).reshape(n, 3)
     return Tracked(tracked.positions, information, gradient, tracked.fine_positions)
+
+
+def _inverse(matrix: Array) -> Array:
+    """Of a symmetric positive-definite matrix, by its factor: half the work of solving for an identity.
+
+    Raises:
+        FloatingPointError: it is not positive definite.
+    """
+    # In Fortran's order it is the same matrix.
+    factor, wrong = lapack.dpotrf(matrix.T, lower=1, overwrite_a=1)
+    if not wrong:
+        lower, wrong = lapack.dpotri(factor, lower=1, overwrite_c=1)
+    if wrong:
+        raise FloatingPointError("the images' information is not positive definite")
+    lower = np.tril(lower)
+    return np.asarray(lower + np.tril(lower, -1).T)

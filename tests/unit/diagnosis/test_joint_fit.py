@@ -132,6 +132,28 @@ def damped() -> tuple[JointFitting, JointFit, JointFit]:
 
 
 class TestFits:
+    def test_whoever_asks_for_no_spread_is_spared_the_last_tangents_alone(
+        self, dragged: Problem, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        made = []
+        tangents = JointFitting._evidence
+
+        def counted(self: JointFitting, *given: object, **more: object) -> object:
+            made.append(self)
+            return tangents(self, *given, **more)  # type: ignore[arg-type]
+
+        monkeypatch.setattr(JointFitting, "_evidence", counted)
+        of_one_pass = replace(dragged.fitting.settings, passes=1)
+        fitting = JointFitting(dragged.fitting.clips, dragged.fitting.start, np.zeros(3), of_one_pass)
+        whole = fitting.fitted((drag(0.0),), dragged.base)
+        assert len(made) == 2
+        without = fitting.fitted((drag(0.0),), dragged.base, spread=False)
+        assert len(made) == 3
+        np.testing.assert_array_equal(without.coefficients, whole.coefficients)
+        assert without.misfit == whole.misfit
+        assert without.history == whole.history
+        assert without.converged == whole.converged
+
     def test_an_effect_that_no_step_strengthens_is_in_the_model_all_the_same(self, still: Problem) -> None:
         """Where a fit gains nothing, whoever asks for its effects must find them, at zero."""
         content = replace(still.fitting.settings, nothing=1e9)
@@ -638,6 +660,29 @@ class TestSoftened:
         moved = tracked.positions[3] + np.array([0.003, 0.0, 0.0])
         assert soft.cost(3, moved) == pytest.approx(0.5 * 9 / 2, rel=0.01)
         assert soft.cost(3, tracked.positions[3]) == 0.0
+
+    def test_what_is_hidden_stays_hidden_and_the_rest_is_no_surer_than_both(self) -> None:
+        shooting, _ = clip(WINDS[0], ())
+        n = 3 * 36
+        rng = np.random.default_rng(3)
+        half = rng.standard_normal((n, n)) * 300.0
+        # Nobody has seen the first ten coordinates.
+        half[:10] = 0.0
+        image = (half @ half.T).astype(np.float32)
+        slope = np.concatenate((np.zeros(10), rng.standard_normal(n - 10)))
+        tracked = replace(
+            shooting.tracked,
+            information=[image] * FRAMES,
+            gradient=np.tile(slope.reshape(1, 36, 3), (FRAMES, 1, 1)),
+        )
+        soft = softened(tracked, 0.3, 25.0, 0.5, ModelError(share=0.01, modes=9, frames=2.0))
+        variance = 0.003**2 * 36 / 9 * 2
+        seen = 0.5 * image[10:, 10:].astype(np.float64)
+        expected = np.linalg.inv(np.linalg.inv(seen) + variance * np.eye(n - 10))
+        np.testing.assert_allclose(soft.information[2][10:, 10:], expected, atol=1e-5 * expected.max())
+        assert np.abs(soft.information[2][:10]).max() <= 1e-8 * expected.max()
+        bent = expected @ np.linalg.solve(seen, 0.5 * slope[10:])
+        np.testing.assert_allclose(soft.gradient[2].reshape(-1)[10:], bent, atol=1e-6 * np.abs(bent).max())
 
     def test_errors_cost_what_their_size_says_and_the_size_is_found(self) -> None:
         shooting, around = clip(WINDS[0], ())

@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+import toile.diagnosis.problem as problems
 import toile.diagnosis.session_stages as stages
+from toile.diagnosis.problem import DiagnosisProblem
 from toile.diagnosis.session_settings import SessionSettings
 from toile.diagnosis.session_stages import RefinedMotion, refined_motion
 from toile.workers import ALONE
@@ -69,3 +71,27 @@ def test_rounds_end_where_the_motion_changes_by_less_than_the_model_is_wrong_by(
     # A model that is wrong by more than the motion changes cannot make it better.
     wrong, _ = rounds(monkeypatch, [0.02] * 7, SETTINGS)
     assert len(wrong.thought) == 2
+
+
+def test_images_are_looked_at_anew_only_where_the_motion_or_the_grid_is_another(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    looked = []
+
+    def tracked_motion(reconstruction: Any, positions: np.ndarray, grid: Any, term: Any) -> Any:
+        looked.append((positions.copy(), grid))
+        return SimpleNamespace(positions=positions.copy())
+
+    monkeypatch.setattr(problems, "tracked_motion", tracked_motion)
+    problem = DiagnosisProblem.__new__(DiagnosisProblem)
+    problem.reconstruction, problem.image_term, problem._images = None, lambda: None, None  # type: ignore
+    grids: Any = [SimpleNamespace(prolong=np.eye(n)) for n in (9, 4)]
+    positions = TRACKED.copy()
+    first = problem.images_around(positions, grids[0])
+    assert problem.images_around(TRACKED.copy(), grids[0]) is first
+    # The caller's array is the caller's: what is done to it later is another motion.
+    positions += 0.001
+    assert problem.images_around(positions, grids[0]) is not first
+    assert problem.images_around(positions, grids[1]).positions is not None
+    assert problem.images_around(positions[:2], grids[1]).positions.shape == (2, 9, 3)
+    assert len(looked) == 4
