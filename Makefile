@@ -279,6 +279,10 @@ blind-sessions: setup ## The same with sessions of several clips: three clips, o
 blind-sessions-short: ## Sessions of one clip of 40 frames at 25 a second, then with the clip that each answer asks for; resumes
 	$(MAKE) blind-sessions SESSIONS=sessions_short
 
+.PHONY: blind-sessions-pooled
+blind-sessions-pooled: setup ## All sealed sessions so far in one table: docs/results/blind_sessions_pooled.md
+	$(BIN)/python benchmarks/blind_sessions_pooled.py
+
 .PHONY: blind-results
 blind-results: setup ## Put a graded set (BLIND_NAME) into the documents: docs/results/blind_standard.md
 	$(BIN)/python benchmarks/blind_results.py $(BLIND_NAME)

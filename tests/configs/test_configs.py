@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Iterator
+from functools import cache
 from typing import Any
 
 import pytest
@@ -68,12 +69,24 @@ def overrides(option: str) -> list[str]:
     return [option]
 
 
+@cache
+def groups(command: str) -> frozenset[str]:
+    """What a command lets choose, with the places where that goes."""
+    cfg = compose(command, return_hydra_config=True)
+    return frozenset(cfg.hydra.runtime.choices)
+
+
 def composed(option: str) -> dict[str, DictConfig]:
     """The option in every command that has its group."""
     found = {}
+    chosen = overrides(option)
+    first = chosen[0].partition("=")[0]
     for command in PRIMARY:
+        # Most commands lack most groups, and to be refused takes as long as to be composed.
+        if first not in groups(command):
+            continue
         try:
-            found[command] = compose(command, overrides(option))
+            found[command] = compose(command, chosen)
         except ConfigCompositionException as error:
             if "Could not override" not in str(error):
                 raise

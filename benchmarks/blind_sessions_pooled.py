@@ -1,0 +1,123 @@
+"""All sealed sessions so far in one table: docs/results/blind_sessions_pooled.md and .csv.
+
+    make blind-sessions-pooled
+
+Reads the marks of every graded set (``docs/results/blind_sessions*_marks.csv``). Every session was answered
+blind, each by the version of its day: sets of few sessions say little one by one, and the versions differ.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import pandas as pd
+
+from toile.atomic_file import write_text
+from toile.blind.session_measures import measured_sessions
+
+RESULTS = Path("docs") / "results"
+STEM = "blind_sessions_pooled"
+SUFFIX = "_marks.csv"
+SCENE = "1, as a scene"
+"""How marks call answers of the method of single clips."""
+EARLIER = ("twelve", "eight", "second_twelve", "second_eight", "four")
+"""Sets answered before the motion was refined by the model's errors as they are found, oldest first."""
+MEASURES = (
+    "named rightly, effects of 3 % and more",
+    "named rightly, all effects that move",
+    "false alarms on nulls",
+    "90 % set: coverage",
+    "90 % set: mean size",
+    "outside: abstains",
+    "outside: confidently wrong",
+    "pairs: one right, none wrong",
+    "magnitude: median error",
+    "magnitude: interval coverage",
+    "image effects named rightly",
+    "calibration error",
+    "named rightly, effects of 3 % and more [largest drop of training loss]",
+    "false alarms on nulls [largest drop of training loss]",
+)
+SINCE, BEFORE = "since the motion is refined by found errors", "before"
+
+
+def marks(folder: Path = RESULTS) -> pd.DataFrame:
+    """Marks of all sets, with the set and whether it is one of the earlier ones.
+
+    Raises:
+        ValueError: a session was answered in two sets.
+    """
+    found = []
+    for path in sorted(folder.glob(f"blind_sessions*{SUFFIX}")):
+        # "null" is a kind of session here.
+        own = pd.read_csv(path, keep_default_na=False, na_values=[""])
+        name = path.name.removeprefix("blind_sessions").removesuffix(SUFFIX).lstrip("_")
+        own = own.assign(clips=own["clips"].astype(str))
+        found.append(own.assign(set=name, version=BEFORE if name in EARLIER else SINCE))
+    together = pd.concat(found, ignore_index=True)
+    twice = together[together.duplicated(["scene", "clips"])]
+    if len(twice):
+        raise ValueError(f"marks: expected every session once, got {', '.join(twice['scene'])} again")
+    return together
+
+
+def pooled(every: pd.DataFrame) -> pd.DataFrame:
+    """The measures over the sets before and since; answers of the method of sessions alone."""
+    own = every[every["clips"] != SCENE]
+    tables = []
+    for version in (SINCE, BEFORE):
+        rows = own[own["version"] == version].sort_values("clips", ascending=False, kind="stable")
+        measured = measured_sessions(rows, resamplings=2000, seed=0)
+        tables.append(measured.assign(version=version))
+    return pd.concat(tables, ignore_index=True)
+
+
+def markdown(table: pd.DataFrame, every: pd.DataFrame) -> str:
+    """The page."""
+    shown = table[table["measure"].isin(MEASURES) & (table["scenes"] > 0)].copy()
+    shown["cell"] = [
+        f"{v:.2f} [{low:.2f}, {high:.2f}], {n:.0f}"
+        for v, low, high, n in zip(shown["value"], shown["low"], shown["high"], shown["scenes"], strict=True)
+    ]
+    parts = []
+    for (version, clips), rows in shown.groupby(["version", "clips"], sort=False):
+        wide = rows.pivot(index="measure", columns="generator", values="cell").fillna("–")
+        order = [name for name in MEASURES if name in wide.index]
+        title = f"## {_clips(str(clips))}, {version}"
+        parts.append(f"{title}\n\n" + wide.loc[order, list(dict.fromkeys(rows["generator"]))].to_markdown())
+    own = every[every["clips"] != SCENE]
+    counts = own.groupby(["set", "clips"], sort=False).size()
+    sets = ", ".join(f"{_set(name)} ({n})" for (name, _), n in counts.items())
+    return "\n\n".join(
+        (
+            "# All sealed sessions so far",
+            f"Made by `make blind-sessions-pooled` from the marks of {counts.size} sets: {sets}. Each "
+            "session was answered before its label was opened, by the version of its day; versions differ, "
+            "and each set has taught those after it, so this is a record and no measurement of one method. "
+            "Value [95 % interval], sessions. With few sessions the calibration error comes out too large.",
+            *parts,
+            "",
+        )
+    )
+
+
+def _clips(number: str) -> str:
+    return "One clip" if number == "1" else f"{number} clips"
+
+
+def _set(name: str) -> str:
+    stem = f"blind_sessions_{name}" if name else "blind_sessions"
+    return f"[{name.replace('_', ' ') or 'the last'}]({stem}.md)"
+
+
+def write(folder: Path = RESULTS) -> Mapping[str, Path]:
+    """Write page and table; returns their paths."""
+    every = marks(folder)
+    table = pooled(every)
+    csv = write_text(folder / f"{STEM}.csv", table.to_csv(index=False, float_format="%.6g"))
+    return {"csv": csv, "md": write_text(folder / f"{STEM}.md", markdown(table, every))}
+
+
+if __name__ == "__main__":
+    print(write()["md"].read_text())

@@ -1,0 +1,53 @@
+"""Marks of several sealed sets in one table."""
+
+from __future__ import annotations
+
+import importlib.util
+import shutil
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+RESULTS = ROOT / "docs" / "results"
+
+
+@pytest.fixture(scope="module")
+def pooled() -> ModuleType:
+    """The program."""
+    spec = importlib.util.spec_from_file_location("pooled", ROOT / "benchmarks" / "blind_sessions_pooled.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_every_set_counts_once_and_nulls_are_no_missing_values(pooled: ModuleType, tmp_path: Path) -> None:
+    for name in ("_four", "_second_four"):
+        shutil.copy(RESULTS / f"blind_sessions{name}_marks.csv", tmp_path)
+    every = pooled.marks(tmp_path)
+    assert set(every["kind"]) == {"null", "single", "pair"}
+    table = pooled.pooled(every).set_index(["version", "clips", "generator", "measure"])["scenes"]
+    nulls = "false alarms on nulls"
+    # Four sessions by one clip, two of them nulls; four by three clips, three of them nulls.
+    assert table[pooled.BEFORE, "1", "all", nulls] == 2
+    assert table[pooled.SINCE, "3", "all", nulls] == 3
+    assert not any(clips == pooled.SCENE for _, clips, _, _ in table.index)
+    page = pooled.write(tmp_path)["md"].read_text()
+    assert "[four](blind_sessions_four.md) (4)" in page
+    assert "nan" not in page
+
+
+def test_a_session_in_two_sets_is_refused(pooled: ModuleType, tmp_path: Path) -> None:
+    marks = RESULTS / "blind_sessions_four_marks.csv"
+    shutil.copy(marks, tmp_path)
+    shutil.copy(marks, tmp_path / "blind_sessions_again_marks.csv")
+    with pytest.raises(ValueError, match="every session once"):
+        pooled.marks(tmp_path)
+
+
+def test_the_committed_page_is_that_of_the_committed_marks(pooled: ModuleType) -> None:
+    every = pooled.marks(RESULTS)
+    assert (RESULTS / "blind_sessions_pooled.md").read_text() == pooled.markdown(pooled.pooled(every), every)
