@@ -255,6 +255,10 @@ r1-diagnosis: setup ## Diagnose R1, held-out frames against the depth camera: do
 independent: setup ## Diagnose the scenes of the independent engine: docs/results/independent.md (needs them in TOILE_DATA)
 	$(BIN)/python benchmarks/independent.py
 
+.PHONY: independent-sessions
+independent-sessions: setup ## The same, each as a session of one clip, and R1: docs/results/independent_sessions.md; resumes
+	$(BIN)/python benchmarks/independent.py --sessions
+
 .PHONY: blind
 blind: setup ## Make scenes with sealed labels, diagnose them, open the labels: the table of measures; resumes
 	$(BIN)/toile blind make $(BLIND_SET)

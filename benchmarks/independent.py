@@ -1,7 +1,7 @@
 """Diagnose the scenes of the independent engine: ``docs/results/independent.md`` and ``.csv``.
 
     make independent  # as single clips
-    python benchmarks/independent.py --sessions  # each as a session of one clip, by the method of sessions
+    make independent-sessions  # each as a session of one clip, by the method of sessions, and R1 beside them
 
 Labels are read for the table alone, after all answers are there, and only where they are open; those of the
 withheld scenes are nowhere to be read. What is done is kept in ``outputs/independent`` and
@@ -33,6 +33,8 @@ from toile.diagnosis.record import DIAGNOSIS_FILE, GapReport
 from toile.diagnosis.session_weights import EVIDENCE_FILE, MotionEvidence
 from toile.diagnosis.settings import DiagnosisSettings
 from toile.diagnosis.verdict import verdict_of
+from toile.scenes.native import write_native
+from toile.scenes.registry import load_scene
 from toile.scenes.session import SESSION_FILE
 
 OUTPUT = Path("outputs/independent")
@@ -123,6 +125,15 @@ def _withheld(found: Sequence[Path], within: Path) -> list[Path]:
     return [run for run in runs if (run / DIAGNOSIS_FILE).is_file()]
 
 
+def real(data: Path) -> Path:
+    """The folder of R1 in the native layout, without what the depth camera saw."""
+    folder = SESSIONS / "scenes" / "R1"
+    if not folder.is_dir():
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        write_native(replace(load_scene("R1", data), ground_truth=None), folder)
+    return folder
+
+
 def as_session(scene: Path, folder: Path) -> Path:
     """The folder of a session with this scene as its only clip; its corners were moved by hand."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -172,10 +183,11 @@ def sessions(found: Sequence[Path], *, table_only: bool) -> None:
         GapReport.read(run / DIAGNOSIS_FILE).write(RESULTS / "independent_sessions" / f"{run.name}.json")
     text = f"""# Scenes of the independent engine, each as a session of one clip
 
-Made by `python benchmarks/independent.py --sessions` (`toile diagnose session=…`, `diagnosis=quick`): 40
-frames at 25 frames a second, corners moved by hand. The labelled scenes helped to develop the method of
-single clips, whose answers stand in [independent.md](independent.md); no weight of this one was learnt from
-them. The labels of the withheld ones are not known here; whole answers in `independent_sessions/`.
+Made by `make independent-sessions` (`toile diagnose session=…`, `diagnosis=quick`): 40 frames at 25 frames a
+second, corners moved by hand, and the real R1 (50 frames). The labelled scenes helped to develop the method
+of single clips, whose answers stand in [independent.md](independent.md); no weight of this one was learnt
+from them. The labels of the withheld ones are not known here, and nobody knows R1's cause; whole answers in
+`independent_sessions/`.
 
 {table.to_markdown(index=False)}
 """
@@ -194,7 +206,7 @@ def main() -> None:
     data = Path(os.environ.get("TOILE_DATA", "data")) / "independent"
     found = scenes(data)
     if arguments.sessions:
-        sessions(found, table_only=arguments.table)
+        sessions([*found, real(data)], table_only=arguments.table)
         return
     for scene in [] if arguments.table else _missing(found, OUTPUT):
         diagnose_scene(scene, OUTPUT / scene.name, ["workers=2"])
