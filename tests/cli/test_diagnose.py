@@ -337,7 +337,8 @@ def test_frames_after_tracking_has_lost_the_cloth_do_not_count(
 
 def test_gusts_of_a_session_have_the_modes_that_its_longest_clip_asks_for(clip: Path, tmp_path: Path) -> None:
     """12 frames at 50 fps are 0.22 s: two half waves reach 3 Hz; one clip alone keeps the usual six."""
-    (tmp_path / "session.yaml").write_text(f"clips: [{{scene: {clip}}}, {{scene: {clip}}}]\n")
+    again = shutil.copytree(clip, tmp_path / "again")
+    (tmp_path / "session.yaml").write_text(f"clips: [{{scene: {clip}}}, {{scene: {again}}}]\n")
 
     register_resolvers()
 
@@ -362,11 +363,15 @@ def two_clips(clip: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("session")
     for name in ("first", "second"):
         shutil.copytree(clip, folder / name)
-    (folder / "session.yaml").write_text("clips:\n- scene: first\n- scene: second\nplumb_line: true\n")
+    (folder / "session.yaml").write_text(
+        "clips:\n- scene: first\n- {scene: second, motion: fan-off}\nplumb_line: true\n"
+    )
     return folder
 
 
-def test_clips_of_a_session_have_one_answer(two_clips: Path, tmp_path: Path) -> None:
+def test_clips_of_a_session_have_one_answer(
+    two_clips: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     small = (
         "session_model.side=6",
         "session_model.modes=2",
@@ -399,6 +404,11 @@ def test_clips_of_a_session_have_one_answer(two_clips: Path, tmp_path: Path) -> 
     shrunk = [effect.shrink for effect in report.effects if effect.shrink is not None]
     assert all(shrink.held_out == "the last clip" for shrink in shrunk)
     assert (tmp_path / report.where.vertices).is_file()
+    # A word that nobody knows says nothing, and that is said.
+    (warning,) = report.warnings
+    assert "second: its motion 'fan-off' is none of" in warning
+    assert warning in capsys.readouterr().err
+    assert warning in (tmp_path / "index.html").read_text().replace("&#39;", "'")
     answer = (tmp_path / DIAGNOSIS_FILE).read_bytes()
     (tmp_path / DIAGNOSIS_FILE).unlink()
     diagnose_session_folder(two_clips, tmp_path, (*SMALL_SESSION, *small))
@@ -407,15 +417,20 @@ def test_clips_of_a_session_have_one_answer(two_clips: Path, tmp_path: Path) -> 
     assert all(stage.cached for stage in times.values())
 
 
-def test_clips_on_other_grids_are_refused(two_clips: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("changed", "refused"), [("grid=[6,6]", "grid"), ("cloth_size=[0.41,0.41]", "a cloth of")]
+)
+def test_clips_of_other_cloths_are_refused(
+    changed: str, refused: str, two_clips: Path, tmp_path: Path
+) -> None:
     other = tmp_path / "other"
     with contextlib.chdir(tmp_path):
-        grid = [s for s in SCENE if "grid" not in s]
-        assert main(("generate", *grid, "settings.grid=[6,6]", "folder=other")) == 0
+        kept = [s for s in SCENE if changed.partition("=")[0] not in s]
+        assert main(("generate", *kept, f"settings.{changed}", "folder=other")) == 0
     folder = tmp_path / "session"
     folder.mkdir()
     (folder / "session.yaml").write_text(f"clips:\n- scene: {two_clips / 'first'}\n- scene: {other}\n")
-    with pytest.raises(InputError, match="grid"):
+    with pytest.raises(InputError, match=refused):
         diagnose_session_folder(folder, tmp_path / "out", SMALL_SESSION)
 
 

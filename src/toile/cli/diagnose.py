@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
@@ -291,9 +292,17 @@ class SessionProblem:
                 workers,
             )
         warnings = dict.fromkeys(warning for clip in self.clips for warning in clip.warnings)
-        report = replace(report, warnings=tuple(warnings))
+        report = replace(report, warnings=(*warnings, *report.warnings))
         report.write(folder / DIAGNOSIS_FILE)
         return report
+
+
+_SAME_CLOTH = 0.02
+"""Share by which sides of one cloth, measured twice, may differ."""
+
+
+def _size(scene: Scene) -> str:
+    return " x ".join(f"{side:.3f}" for side in scene.cloth_size) + " m"
 
 
 _OF_SESSION = ("window", "boundary_knot", "boundary", "likelihood_weight", "jump_position", "jump_velocity")
@@ -348,6 +357,14 @@ def session_problem(cfg: DictConfig) -> SessionProblem:
             got=", ".join(map(str, sorted(grids))),
         )
     scenes = [clip.reconstruction.scene for clip in clips]
+    for clip, scene in zip(session.clips, scenes, strict=True):
+        if not np.allclose(scene.cloth_size, scenes[0].cloth_size, rtol=_SAME_CLOTH):
+            raise InputError(
+                "The clips of a session are of one cloth",
+                where=f"{cfg.session}: {clip.folder.name}",
+                expected=f"a cloth of {_size(scenes[0])}, as in {session.clips[0].folder.name}",
+                got=_size(scene),
+            )
     longest = max((scene.n_frames - 1) / scene.fps for scene in scenes)
     effects = tuple(effect.for_clip(longest).in_detail() for effect in clips[0].effects)
     clips = [replace(clip, effects=effects) for clip in clips]

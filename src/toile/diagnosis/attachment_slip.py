@@ -1,9 +1,9 @@
 """A pinned vertex that slips through its attachment, from where the pinned vertices were tracked.
 
 Pinned vertices are mostly pinned by one body, so what they do relative to each other is small or slow: a
-    share of
-their common motion, slow sway of two hands, and errors of tracking, which drift and are far larger along the
-rays of the camera than across. A slip is a relative displacement that comes within a short time and stays.
+share of their common motion, slow sway of two hands, and errors of tracking, which drift and are far larger
+along the rays of the camera than across. A slip is a relative displacement that comes within a short time and
+stays.
 """
 
 from __future__ import annotations

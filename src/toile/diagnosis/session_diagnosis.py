@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
@@ -43,6 +44,7 @@ from toile.diagnosis.record import (
 from toile.diagnosis.results import KINDS
 from toile.diagnosis.second_effect import EffectsBeside, SecondEffect
 from toile.diagnosis.session_alias import session_alias
+from toile.diagnosis.session_checks import moved_holders, unknown_motions
 from toile.diagnosis.session_evidence import (
     SessionEvidence,
     base_of_session,
@@ -71,6 +73,8 @@ from toile.scenes.session import Session
 from toile.workers import ALONE, Workers
 
 Array = NDArray[np.float64]
+
+_log = logging.getLogger(__name__)
 
 KNOWN_BY = {"plumb_line": "gravity_tilt", "clock": "frame_rate"}
 """Effects that something in view has measured."""
@@ -140,7 +144,9 @@ def diagnose_session(
     names = list(dict.fromkeys(clip.device for clip in session.clips))
     devices = [names.index(clip.device) for clip in session.clips]
     motions = [clip.motion for clip in session.clips]
+    remarkable = _said(unknown_motions(session.clips))
     clips = seen_clips(problems, devices, pipeline, progress, motions)
+    remarkable += _said(moved_holders(session.clips, clips))
 
     made_from = {
         f"clip {k}.{key}": value for k, p in enumerate(problems) for key, value in p.made_from.items()
@@ -249,7 +255,15 @@ def diagnose_session(
     )
     progress("answer", 0.99)
     found = _Found(clips, model, base, fits, evidence, weights, alias, left_out, gains, displacements, second)
-    return _report(found, effects, settings, together, calibration, session, folder)
+    report = _report(found, effects, settings, together, calibration, session, folder)
+    return replace(report, warnings=tuple(remarkable))
+
+
+def _said(warnings: list[str]) -> list[str]:
+    """The warnings, said on the console and in the log; the page has them from the report."""
+    for warning in warnings:
+        _log.warning("%s", warning)
+    return warnings
 
 
 def learned_chances(clips: Sequence[SeenClip], motion: RefinedMotion) -> dict[str, float] | None:

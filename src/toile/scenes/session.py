@@ -5,7 +5,8 @@
     name: tablecloth
     clips:
       - scene: release          # folder of a native scene, relative to session.yaml
-        motion: release         # what was done, for people: hang, release, shake, sway, ...
+        motion: release         # what was done: hang or release (nobody moved the corners), fan_off (nothing
+                                # blew), shake, sway, turned; any other word is for people alone
         device: phone           # clips with the same one share camera, frame rate and gravity's direction
         changed: []             # since the clip before, for people: fan, grip, turned, ...
       - scene: shake
@@ -100,6 +101,16 @@ def load_session(folder: Path | str) -> Session:
                 where=f"{path}: clips[{index}].scene",
                 expected="the folder of a native scene, relative to the session's file",
                 got=f"no scene.json in {clip.folder}",
+            )
+    folders = [clip.folder.resolve() for clip in clips]
+    for index, place_of in enumerate(folders):
+        if place_of in folders[:index]:
+            # Its evidence would count twice.
+            raise InputError(
+                "A clip is in the session twice",
+                where=f"{path}: clips[{index}].scene",
+                expected="every recording once",
+                got=f"{clips[index].folder}, which is clips[{folders.index(place_of)}] as well",
             )
     return Session(found.name or path.parent.resolve().name, clips, found.plumb_line, found.clock)
 

@@ -44,6 +44,7 @@ def test_only_the_scenes_are_needed(folder: Path) -> None:
         ("clips: []\n", "clips"),
         ("clips:\n- scene: release\n  fps: 3\n", r"clips\[0\].fps"),
         ("clips:\n- scene: sway\n", "sway"),
+        ("clips:\n- scene: release\n- scene: shake\n- scene: ./release\n", r"clips\[0\] as well"),
         ("clips: [\n", "while parsing"),
         ("- release\n", "the file"),
         ("clips:\n- scene: release\nclock: maybe\n", "clock"),

@@ -1,0 +1,53 @@
+"""What clips show otherwise than their session says, and what it says that means nothing here."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from toile.diagnosis.session_stages import SeenClip
+from toile.generation.clip_plan import MOTIONS
+from toile.scenes.session import SessionClip
+
+_MOVED = 0.01
+"""Share of the cloth's width by which what holds it moves where somebody moves it."""
+
+
+def unknown_motions(clips: Sequence[SessionClip]) -> list[str]:
+    """One sentence for every clip whose motion is a word that says nothing about air and corners."""
+    return [
+        f"{clip.folder.name}: its motion '{clip.motion}' is none of {', '.join(MOTIONS)}, so nothing is "
+        "known of what blew or moved the corners"
+        for clip in clips
+        if clip.motion and clip.motion not in MOTIONS
+    ]
+
+
+def moved_holders(clips: Sequence[SessionClip], seen: Sequence[SeenClip]) -> list[str]:
+    """One sentence for every clip whose pinned vertices move although nobody is said to have moved them."""
+    found = []
+    for clip, tracked in zip(clips, seen, strict=True):
+        away = holders_away(tracked)
+        width = tracked.problem.scene.cloth_size[0]
+        if tracked.held_still and away > _MOVED * width:
+            found.append(
+                f"{clip.folder.name}: what holds the cloth moves by {1e3 * away:.0f} mm, although nobody "
+                f"moved it in a clip of motion '{clip.motion}': it slips, or another motion was recorded "
+                f"({', '.join(MOTIONS)})"
+            )
+    return found
+
+
+def holders_away(clip: SeenClip) -> float:
+    """Distance of the pinned vertex that moves farthest from where the template has it, median frame [m].
+
+    Across the line of sight: along it tracking errs by as much where nothing moves.
+    """
+    scene = clip.problem.scene
+    pinned = list(scene.pinned_vertices)
+    at = scene.template.reshape(-1, 3)[pinned].numpy().astype(np.float64)
+    away = clip.tracked.positions[: clip.n_frames, pinned] - at
+    ray = at / np.linalg.norm(at, axis=-1, keepdims=True)
+    across = away - (away * ray).sum(-1, keepdims=True) * ray
+    return float(np.median(np.linalg.norm(across, axis=-1), axis=0).max(initial=0.0))
