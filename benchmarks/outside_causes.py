@@ -54,7 +54,7 @@ from toile.diagnosis.stage_store import StageStore
 from toile.diagnosis.stage_times import StageTimes
 from toile.diagnosis.stored_values import ValueStore
 from toile.effects.base import Effect
-from toile.effects.catalogue import OUTSIDE
+from toile.effects.catalogue import OUTSIDE, PUSHING
 from toile.generation.clip_plan import DEFAULT_CLIPS
 from toile.workers import ALONE
 
@@ -75,7 +75,7 @@ ABLATIONS = {
     "forces of 0.4": FreedSettings(force=0.4),
 }
 """By the name under which what they find is kept."""
-NAMES = tuple(name for name in OUTSIDE if name not in ladder.WITHOUT_TRACE)
+NAMES = tuple(name for name in OUTSIDE if name not in (*ladder.WITHOUT_TRACE, *PUSHING))
 """A tilt of gravity is a wind here, which every clip has."""
 
 

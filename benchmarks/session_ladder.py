@@ -1,9 +1,10 @@
 """Where a diagnosis of several clips loses what they know: `make session-ladder`.
 
 One thing after the other takes its true place: positions are the true ones, the tracked ones, or those that
-the base model refines; hypotheses have a free force or none; one clip counts or all. Sessions come from the
-package's out-of-family generator and, through the extra ``blender``, from Blender. They are kept in
-outputs/session_ladder, as is what is found, so that it goes on where it was.
+the base model refines; hypotheses have a free force or none; one clip counts or all; what the cloth may touch
+is looked for (``--obstacles``). Sessions come from the package's out-of-family generator and, through the
+extra ``blender``, from Blender. They are kept in outputs/session_ladder, as is what is found, so that it goes
+on where it was.
 
     python benchmarks/session_ladder.py [--sessions air_drag:3:1 none:0:2 ...] [--rungs true tracked refined]
 """
@@ -52,7 +53,10 @@ from toile.diagnosis.session_weights import MotionEvidence, SessionWeights, chan
 from toile.diagnosis.stage_store import StageStore
 from toile.diagnosis.stage_times import StageTimes
 from toile.diagnosis.stored_values import ValueStore
+from toile.diagnosis.touched_obstacles import touching
 from toile.effects.base import Effect
+from toile.effects.catalogue import PUSHING
+from toile.effects.contact import Contact
 from toile.generation.clip_plan import DEFAULT_CLIPS, ClipPlan
 from toile.generation.out_of_family.base_scene import OutOfFamilySettings
 from toile.generation.out_of_family.from_blender import make_clips_with_blender
@@ -110,6 +114,9 @@ RUNGS = (
     "refined, one clip, force 0.3",
     "refined",
 )
+OBSTACLES = "refined, one clip, obstacles"
+"""Rung with contact as a candidate: what the cloth may touch is looked for. Of the sessions of TOUCHED."""
+TOUCHED = ("contact:3:51", "contact:3:52", "gusts:3:5", "none:0:2", "none:0:17")
 
 
 def folder_of(session: str, within: Path = FOLDER) -> Path:
@@ -147,7 +154,8 @@ def made(session: str, within: Path = FOLDER, plans: tuple[ClipPlan, ...] = DEFA
 def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
     """Every hypothesis on one rung."""
     with initialize_config_dir(str(CONF), version_base=None):
-        cfg = compose("diagnose", [f"session='{folder.resolve()}'", "diagnosis=quick"])
+        model = ["session_model=obstacles"] if rung.endswith("obstacles") else []
+        cfg = compose("diagnose", [f"session='{folder.resolve()}'", "diagnosis=quick", *model])
     asked = session_problem(cfg)
     problems = [DiagnosisProblem(p.reconstruction, p.recipe, p.effects, p.settings) for p in asked.clips]
     problems = problems[:1] if "one clip" in rung else problems
@@ -182,13 +190,20 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
     revision = current_git_revision()
     seconds = sum((clip.n_frames - 1) / clip.problem.scene.fps for clip in clips)
     moving = [effect for effect in effects if isinstance(effect, FORCES)]
+    if settings.touched is not None and all(effect.NAME != Contact.NAME for effect in effects):
+        own = touching(fitting, base, settings.touched)
+        if any(own):
+            model = SessionModel(clips, motion, settings, stiffness, own)
+            fitting, moving = model.fitting, [*moving, Contact()]
     truth_is = cause_of(folder.name)
     fits = fitting.linearised(moving, base, fitting.quadratic(moving, base, fitting.systems(moving, base)))
     fits |= {effect.NAME: usual for effect in moving if effect.NAME in usual.names}
     chosen = promising(base, fits, moving, errors, settings.fitted, plain, usual.names)
     # The cause is fitted whatever it promises, so that what it predicts is known.
     chosen += [e for e in moving if truth_is == e.NAME and e not in chosen and e.NAME not in usual.names]
-    causes = {} if "force" in rung else outside_causes(clips, motion, settings, stiffness, moving).causes
+    causes = {}
+    if "force" not in rung:
+        causes = outside_causes(clips, motion, settings, stiffness, moving, own=model.own).causes
     evidence: dict[str, EffectEvidence] = {}
     sizes: dict[str, float] = {}
     rows: list[dict[str, object]] = []
@@ -231,7 +246,7 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
             }
         )
     every = {name: sizes.pop(name) for name in usual.names if name in sizes}
-    sizes |= {name: cause.displacement.last for name, cause in causes.items()}
+    sizes |= {name: cause.displacement.last for name, cause in causes.items() if name not in PUSHING}
     from_outside = {name: cause.evidence for name, cause in causes.items()}
     said = chances(
         MotionEvidence(errors, evidence, learned or None, every, sizes, from_outside),
@@ -357,9 +372,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--sessions", nargs="+", default=(*SESSIONS, *REFINED_ALONE))
     parser.add_argument("--rungs", nargs="+", help="of every session; all of SESSIONS, one of the others")
+    parser.add_argument(
+        "--obstacles", action="store_true", help="contact as a candidate, sessions of TOUCHED"
+    )
     parser.add_argument("--known", action="store_true", help="fit nothing: the tables of what is kept")
     parser.add_argument("--output", type=Path, default=Path("docs") / "results" / "session_ladder.md")
     given = parser.parse_args()
+    if given.obstacles:
+        given.sessions, given.rungs = TOUCHED, (OBSTACLES,)
     torch.set_num_threads(1)
     register_resolvers()
     rows: list[dict[str, object]] = []
@@ -392,7 +412,7 @@ def _with_lines_before(new: pd.DataFrame, path: Path) -> pd.DataFrame:
         mine = pd.MultiIndex.from_frame(new[["session", "rung"]])
         theirs = pd.MultiIndex.from_frame(before[["session", "rung"]])
         new = pd.concat([new, before[~theirs.isin(mine)]], ignore_index=True)
-    order = {rung: k for k, rung in enumerate(RUNGS)}
+    order = {rung: k for k, rung in enumerate((*RUNGS, OBSTACLES))}
     ranked = new["rung"].map(lambda rung: order.get(rung, len(order)))
     return new.iloc[np.argsort(ranked.to_numpy(), kind="stable")]
 
@@ -438,7 +458,7 @@ def page(table: pd.DataFrame) -> str:
         }
     )
     of_nats = [name for name in counts if "median" in name or "nats" in name]
-    counts = counts.reindex([rung for rung in RUNGS if rung in counts.index])
+    counts = counts.reindex([rung for rung in (*RUNGS, OBSTACLES) if rung in counts.index])
     for name in counts:
         show = "{:.1f}" if name in of_nats else "{:.0f}"
         counts[name] = [

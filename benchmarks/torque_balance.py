@@ -35,7 +35,7 @@ from toile.diagnosis.stage_times import StageTimes
 from toile.diagnosis.stored_values import ValueStore
 from toile.diagnosis.torque_balance import MovingCloth, torque_evidence
 from toile.effects.base import Surroundings
-from toile.effects.catalogue import OUTSIDE
+from toile.effects.catalogue import OUTSIDE, PUSHING
 from toile.generation.clip_plan import DEFAULT_CLIPS
 from toile.workers import ALONE
 
@@ -91,7 +91,7 @@ def page(table: pd.DataFrame) -> str:
     """The tables in words."""
     table = table.assign(truth=[ladder.cause_of(name) for name in table["session"]])
     # A tilt of gravity is a wind here, which every clip has.
-    names = [name for name in OUTSIDE if name not in ladder.WITHOUT_TRACE]
+    names = [name for name in OUTSIDE if name not in (*ladder.WITHOUT_TRACE, *PUSHING)]
     table = table.assign(leads=table[names].idxmax(axis=1), nats=table[names].max(axis=1))
     rows = []
     for rung, own in table.groupby("rung", sort=False):

@@ -32,6 +32,7 @@ DELTAS = (
     "diagnosis=fine",
     "blind=tiny",
     "blind=sessions",
+    "session_model=obstacles",
     "capture",
     "backbone",
 )

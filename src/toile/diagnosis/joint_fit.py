@@ -9,8 +9,8 @@ whatever belongs to the cloth or the device. Every hypothesis is fitted until a 
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import Annotated
 
@@ -117,6 +117,7 @@ class JointClip:
         windows: as tracked.
         still_air: whether nothing blew: its wind is that of a closed room.
         wind: with which a fit begins (2,) [m/s²].
+        own: effects, at zero, that act elsewhere in every clip, as they are in this one, by name.
     """
 
     shooting: Shooting
@@ -125,6 +126,11 @@ class JointClip:
     windows: list[WindowMotion]
     still_air: bool = False
     wind: tuple[float, ...] = (0.0,) * N_WIND
+    own: Mapping[str, Effect] = field(default_factory=dict)
+
+    def acting(self, effect: Effect, coefficients: Array) -> Effect:
+        """An effect as it acts in this clip, with coefficients (n,) in prior deviations."""
+        return acting_with(self.own.get(effect.NAME, effect), coefficients)
 
 
 def joint_clip(
@@ -616,10 +622,10 @@ class JointFitting:
     def _acting(self, layout: SharedLayout, coefficients: Array) -> list[tuple[Effect, ...]]:
         return [
             tuple(
-                acting_with(effect, coefficients[places])
+                own.acting(effect, coefficients[places])
                 for effect, places in zip(layout.effects, layout.coefficients(clip), strict=True)
             )
-            for clip in range(len(self.clips))
+            for clip, own in enumerate(self.clips)
         ]
 
     def _bounded(self, layout: SharedLayout, coefficients: Array) -> Array:

@@ -20,7 +20,6 @@ from toile.diagnosis.base_fit import N_WIND, base_of
 from toile.diagnosis.image_error import METRIC, ImageError
 from toile.diagnosis.joint_fit import JointClip, JointFit, JointFitting, tracked_windows
 from toile.diagnosis.record import PIECES, Shrink
-from toile.diagnosis.refits import acting_with
 from toile.diagnosis.shooting import Base, cosine_modes
 from toile.diagnosis.shrinkage import PredictionSettings, interval, shrink_of
 from toile.effects.base import Effect, Scope
@@ -221,5 +220,5 @@ def _acting(
         known = {Scope.CLOTH: 0, Scope.DEVICE: same, Scope.CLIP: None}[effect.SCOPE]
         if without is not None and known is not None:
             of_clip = others.coefficients[without.layout(effects).coefficients(known)[k]]
-        acting.append(acting_with(effect, of_clip))
+        acting.append(whole.clips[-1].acting(effect, of_clip))
     return tuple(acting)

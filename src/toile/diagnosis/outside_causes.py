@@ -27,7 +27,7 @@ from toile.diagnosis.hem import Hem
 from toile.diagnosis.joint_fit import JointFit, JointFitting
 from toile.diagnosis.pipeline import PipelineStage
 from toile.diagnosis.session_settings import SessionSettings
-from toile.diagnosis.session_stages import RefinedMotion, SeenClip, SessionModel
+from toile.diagnosis.session_stages import Own, RefinedMotion, SeenClip, SessionModel
 from toile.effects.base import Effect
 from toile.effects.catalogue import OUTSIDE
 from toile.limits import Unit
@@ -85,6 +85,7 @@ def outside_causes(
     stiffness: tuple[float, float, float],
     effects: Sequence[Effect],
     workers: Workers = ALONE,
+    own: Own | None = None,
 ) -> OutsideCauses:
     """Evidence of every cause from outside, the forces within the cloth free.
 
@@ -95,9 +96,10 @@ def outside_causes(
         stiffness: where fits begin.
         effects: candidates; those that act within the cloth are left out.
         workers: share the windows of a clip.
+        own: see SessionModel.
     """
     outside = [effect for effect in effects if effect.NAME in OUTSIDE]
-    found = freed_fit(clips, motion, settings, stiffness, workers) if outside else None
+    found = freed_fit(clips, motion, settings, stiffness, workers, own) if outside else None
     return OutsideCauses({}) if found is None else judged(*found, outside, workers=workers)
 
 
@@ -107,6 +109,7 @@ def freed_fit(
     settings: SessionSettings,
     stiffness: tuple[float, float, float],
     workers: Workers = ALONE,
+    own: Own | None = None,
 ) -> tuple[JointFitting, JointFit, float] | None:
     """The fit without any cause, the forces within the cloth free; None where holders take up every torque.
 
@@ -116,6 +119,7 @@ def freed_fit(
         settings: see outside_causes.
         stiffness: where it begins.
         workers: share the windows of a clip.
+        own: see SessionModel.
 
     Returns:
         The fitting, its fit, and the width of the cloth [m].
@@ -126,7 +130,7 @@ def freed_fit(
     settings = replace(settings, fit=of_fits, held=held)
     base: JointFit | None = None
     for rounds_left in range(freed.rounds, -1, -1):
-        model = SessionModel(clips, motion, settings, stiffness)
+        model = SessionModel(clips, motion, settings, stiffness, own)
         fitting = model.fitting.with_usual((Hem(),))
         if any(clip.shooting.n_external == 0 for clip in fitting.clips):
             return None
@@ -203,6 +207,7 @@ def outside_stage(
     share: float,
     made_from: Mapping[str, str],
     workers: Workers,
+    own: Own | None = None,
 ) -> PipelineStage[RefinedMotion, OutsideCauses]:
     """See outside_causes; made from the refined motion.
 
@@ -214,10 +219,11 @@ def outside_stage(
         share: of all work that is done when it begins.
         made_from: fingerprints of what it depends on.
         workers: share the windows of a clip.
+        own: see SessionModel.
     """
 
     def compute(motion: RefinedMotion) -> OutsideCauses:
-        return outside_causes(clips, motion, settings, stiffness, effects, workers)
+        return outside_causes(clips, motion, settings, stiffness, effects, workers, own)
 
     return PipelineStage(
         "causes from outside",

@@ -18,7 +18,8 @@ Keys of the file:
 - ``warnings``: [text], what is remarkable about the scene
 - ``session``: null, or of several clips ``clips`` [name], ``frames`` [number], ``probabilities`` {name:
   number}, ``equivalence_classes`` [[name]], ``material`` {name: number}, ``left``, ``next_clip``,
-  ``expected_information`` {motion: number}
+  ``expected_information`` {motion: number}, ``obstacles`` {clip: {``point``, ``normal``
+  or ``centre``, ``radius``}}
 
 Numbers that do not exist are null. Keys that are not listed are refused: a typing error must not pass for a
 missing answer.
@@ -256,6 +257,9 @@ class SessionAnswer:
             acts; {} where it was not asked, as nothing may be moving it.
         first: effect that ``beside`` is asked of, "" for ``moved_by``: another one that is level with it.
         second: effect that moves the cloth beside ``first`` and is believed, "" for none.
+        obstacles: where contact is what may be missing: what is touched, by clip, in the camera's frame: of a
+            plane a ``point`` [m] and its ``normal`` towards the cloth, of a ball its ``centre`` and
+            ``radius`` [m].
     """
 
     clips: tuple[str, ...]
@@ -271,6 +275,7 @@ class SessionAnswer:
     beside: dict[str, Fraction] = field(default_factory=dict)
     first: str = ""
     second: str = ""
+    obstacles: dict[str, dict[str, tuple[float, ...]]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

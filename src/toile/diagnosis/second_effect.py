@@ -25,7 +25,7 @@ from toile.diagnosis.session_stages import HypothesisStages, RefinedMotion
 from toile.diagnosis.session_weights import MotionEvidence, SessionWeights, chances
 from toile.diagnosis.verdict import VerdictSettings, is_clear
 from toile.effects.base import Effect
-from toile.effects.catalogue import WEIGHING
+from toile.effects.catalogue import PUSHING, WEIGHING
 
 Array = NDArray[np.float64]
 
@@ -139,14 +139,14 @@ class EffectsBeside:
         freed = causes[first].beside if first in causes else {n: c.evidence for n, c in causes.items()}
         freed = {name: one for name, one in freed.items() if name in fits}
         # Of the others a fit under the law says nothing more.
-        of_law = [e for e in others if e.NAME not in freed or e.NAME in WEIGHING]
+        of_law = [e for e in others if e.NAME not in freed or e.NAME in (*WEIGHING, *PUSHING)]
         linear = {effect.NAME: fits[effect.NAME] for effect in of_law}
         for effect in promising(with_first, linear, of_law, errors, 1):
             stage = self.stages.fit_beside(fitting, effect, first, share)
             fits[effect.NAME] = self.pipeline.run(stage, self.motion, with_first)
         sizes = {
             name: causes[name].displacement.last
-            if name in causes
+            if name in causes and name not in PUSHING
             else displacement(fitting.clips, fitting.start, fit, model.width).last
             for name, fit in fits.items()
         }

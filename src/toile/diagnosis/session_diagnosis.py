@@ -65,9 +65,11 @@ from toile.diagnosis.settings import DiagnosisSettings
 from toile.diagnosis.stage_store import StageStore
 from toile.diagnosis.stage_times import TIMES_FILE, StageTimes
 from toile.diagnosis.stored_values import ValueStore
+from toile.diagnosis.touched_obstacles import touching
 from toile.diagnosis.verdict import is_clear, of_two, refuted, seen_in_part, verdict_of
 from toile.effects.base import Effect
-from toile.effects.catalogue import CATALOGUE, STAGES
+from toile.effects.catalogue import CATALOGUE, PUSHING, STAGES
+from toile.effects.contact import Contact
 from toile.generation.clip_plan import MOTIONS
 from toile.scenes.session import Session
 from toile.workers import ALONE, Workers
@@ -137,7 +139,7 @@ def diagnose_session(
     moving = [effect for effect in effects if isinstance(effect, FORCES)]
     times = StageTimes.going_on(folder / TIMES_FILE)
     # Usual effects act whether they are candidates or not.
-    acting = (*(CATALOGUE[name]() for name in together.usual), *effects)
+    acting = (Contact(), *(CATALOGUE[name]() for name in together.usual), *effects)
     kinds = (*KINDS, JointFit, RefinedMotion, OutsideCauses, OutsideCause, EffectEvidence, Displacement)
     store = StageStore(folder, ValueStore(kinds, acting), times)
     pipeline = Pipeline(store, progress)
@@ -162,8 +164,16 @@ def diagnose_session(
     usual = pipeline.run(stages.usual(0.53), motion, plain)
     base = base_of_session(plain, usual)
     weights = SessionWeights.load().of_clips(len(clips))
+    if together.touched is not None and all(effect.NAME != Contact.NAME for effect in effects):
+        progress("what the cloth may touch", 0.54)
+        own = touching(model.fitting, base, together.touched, workers)
+        if any(own):
+            model = SessionModel(clips, motion, together, settings.stiffness, own)
+            stages = HypothesisStages(model, progress, made_from, workers)
+            effects, moving = (*effects, Contact()), [*moving, Contact()]
     outside = pipeline.run(
-        outside_stage(clips, together, settings.stiffness, moving, 0.55, made_from, workers), motion
+        outside_stage(clips, together, settings.stiffness, moving, 0.55, made_from, workers, model.own),
+        motion,
     )
     progress("what every effect would change", 0.62)
     # What acts in the base model is among what is linearised, candidate or not.
@@ -191,11 +201,11 @@ def diagnose_session(
     displacements = {
         name: displacement(fitting.clips, fitting.start, fit, model.width)
         for name, fit in fits.items()
-        if name not in outside.causes
+        if name not in outside.causes or name in PUSHING
     }
     sizes = {name: one.last for name, one in displacements.items()}
     every = {name: sizes.pop(name) for name in usual.names if name in sizes}
-    displacements |= {name: cause.displacement for name, cause in outside.causes.items()}
+    displacements = {name: one.displacement for name, one in outside.causes.items()} | displacements
     evidence = session_evidence(
         base,
         fits,
@@ -375,6 +385,7 @@ def _report(
             {} if second is None else second.chances,
             "" if second is None else second.first,
             "" if second is None else second.name,
+            _obstacles(found, session) if Contact.NAME in (*verdict.candidates, verdict.also) else {},
         ),
     )
 
@@ -403,6 +414,16 @@ def _of_class(
                 reason=f"{listed}: these clips cannot tell them apart, and one of them is missing.",
             )
     return verdict
+
+
+def _obstacles(found: _Found, session: Session) -> dict[str, dict[str, tuple[float, ...]]]:
+    """Planes that may be touched, by clip."""
+    pairs = zip(session.clips, found.model.own, strict=True)
+    return {
+        clip.folder.name: {name: tuple(map(float, at)) for name, at in own[Contact.NAME].place().items()}
+        for clip, own in pairs
+        if Contact.NAME in own
+    }
 
 
 def _material(found: _Found) -> dict[str, float]:

@@ -17,6 +17,7 @@ from toile.diagnosis.model_errors import ModelErrors
 from toile.diagnosis.outside_causes import OutsideCause
 from toile.diagnosis.session_weights import MotionEvidence, SessionWeights
 from toile.effects.base import Effect, Scope
+from toile.effects.catalogue import PUSHING
 
 Array = NDArray[np.float64]
 
@@ -82,7 +83,7 @@ def session_evidence(
     by_name = {effect.NAME: effect for effect in effects}
     motion = replace(
         _of_motion(base, fits, errors, learned, usual or {}, plain),
-        sizes={**(sizes or {}), **{name: cause.displacement.last for name, cause in outside.items()}},
+        sizes={**{name: cause.displacement.last for name, cause in outside.items()}, **(sizes or {})},
         outside={name: cause.evidence for name, cause in outside.items()},
     )
     drops = {name: one.drop for name, one in motion.effects.items()}
@@ -101,7 +102,7 @@ def session_evidence(
         n = len(by_name[name].scales)
         covariance = scale * fit.own_covariance[:n, :n]
         findings[name] = finding(by_name[name], motion.nats(name), fit.own[:n], covariance)
-        if name in outside:
+        if name in outside and name not in PUSHING:
             cause = outside[name]
             mean = cause.coefficients[:n]
             # All coefficients are too large or too small together.

@@ -10,6 +10,7 @@ from pydantic import Field
 
 from toile.diagnosis.joint_fit import JointFitSettings
 from toile.diagnosis.softened import ModelError
+from toile.diagnosis.touched_obstacles import TouchedSettings
 from toile.limits import Count, CountOrZero, Fraction, NonNegative, Positive, Seed, Unit
 from toile.physics.grid_laws import GridLaw, taut_fitted
 
@@ -83,6 +84,8 @@ class SessionSettings:
         refining: see RefiningSettings.
         model_error: see ModelError; its share is where the search for it begins.
         error_rounds: fits of the base model in which that share is found; 0 leaves it as it is.
+        touched: how obstacles that nobody knows of are looked for; None: they are not, and ``contact`` is a
+            candidate only where it was given with its obstacle.
         usual: effects that the base model has: what no cloth and no solver is without. One of them is a cause
             where it is stronger than is usual.
         fit: see JointFitSettings.
@@ -113,6 +116,7 @@ class SessionSettings:
     refining: RefiningSettings = field(default_factory=RefiningSettings)
     model_error: ModelError = field(default_factory=ModelError)
     error_rounds: CountOrZero = 3
+    touched: TouchedSettings | None = None
     usual: Usual = ("internal_damping",)
     fit: JointFitSettings = field(default_factory=JointFitSettings)
     freed: FreedSettings = field(default_factory=FreedSettings)

@@ -27,6 +27,7 @@ from toile.effects.catalogue import CATALOGUE
 from toile.workers import ALONE, Workers
 
 Array = NDArray[np.float64]
+Own = Sequence[Mapping[str, Effect]]
 Inputs = TypeVarTuple("Inputs")
 Output = TypeVar("Output")
 
@@ -115,11 +116,15 @@ class RefinedMotion:
 class SessionModel:
     """The joint problem of all clips; made anew from what tracking has found.
 
+    Attributes:
+        own: see JointClip, of every clip.
+
     Args:
         clips: see SeenClip.
         motion: where the image term is linearised and windows start.
         settings: see SessionSettings.
         stiffness: start values Y [N/m], S per cell area [N/m], B [N·m].
+        own: see JointClip, of every clip; None for nothing.
     """
 
     def __init__(
@@ -128,6 +133,7 @@ class SessionModel:
         motion: RefinedMotion,
         settings: SessionSettings,
         stiffness: tuple[float, float, float],
+        own: Own | None = None,
     ) -> None:
         settings = replace(settings, model_error=with_share(settings.model_error, motion.error))
         self.clips, self.settings, self._stiffness = list(clips), settings, stiffness
@@ -140,6 +146,8 @@ class SessionModel:
             _joint(clip, grid, motion, k, tuple(winds[k]), settings)
             for k, (clip, grid) in enumerate(zip(clips, self.grids, strict=True))
         ]
+        self.own: Own = [{}] * len(of_clips) if own is None else own
+        of_clips = [replace(clip, own=there) for clip, there in zip(of_clips, self.own, strict=True)]
         usual = tuple(CATALOGUE[name]() for name in settings.usual)
         self.fitting = JointFitting(of_clips, start, values, settings.fit, usual)
         fewer = replace(settings.fit, passes=settings.left_out_passes)
@@ -177,12 +185,13 @@ class SessionModel:
             self.settings.model_error.share,
             motion.velocities[last:],
         )
-        alone = SessionModel(seen, motion, refining(self.settings), self._stiffness)
+        own = self.own[last:]
+        alone = SessionModel(seen, motion, refining(self.settings), self._stiffness, own)
         there = np.concatenate([np.zeros(0, np.intp), *layout.coefficients(last)])
         begin = alone.fitting.started(effects, fit.coefficients[there], workers)
         found = alone.refined(alone.fitting.fitted(effects, begin, workers, spread=False))
         found = replace(found, error=motion.error)
-        return SessionModel(seen, found, self.settings, self._stiffness).fitting.clips[0]
+        return SessionModel(seen, found, self.settings, self._stiffness, own).fitting.clips[0]
 
     def refined(self, fit: JointFit) -> RefinedMotion:
         """The motion of a fit, on the scenes' grids."""

@@ -23,7 +23,7 @@ from toile.atomic_file import write_text
 from toile.diagnosis.decision import NONE
 from toile.diagnosis.effect_evidence import EffectEvidence
 from toile.diagnosis.model_errors import ModelErrors
-from toile.effects.catalogue import WEIGHING
+from toile.effects.catalogue import PUSHING, WEIGHING
 from toile.errors import InputError
 from toile.json_file import read_json_object
 
@@ -275,9 +275,13 @@ class MotionEvidence:
         that these are given, as that of an uneven stiffness does, so an error of the law may pass for it
         there; and under a law another may. So it has the odds that it has among its rivals under the law, as
         far as the clips show it with the forces within the cloth free; the rest is none.
+
+        Contact is either: a push in a place and for a moment may show under a law alone, and where it shows
+        in the balance, it is a rival of whatever pushes from outside.
         """
         both = {name for name in WEIGHING if name in self.outside and name in self.effects}
-        within = [name for name in self.effects if name not in self.outside or name in both]
+        either = {name for name in PUSHING if name in self.outside and name in self.effects}
+        within = [name for name in self.effects if name not in self.outside or name in both | either]
         odds = {
             name: (self.nats(name) - weights.threshold) / weights.temperature
             + weights.learned * _log_odds(self.learned, name, self.effects)
@@ -307,7 +311,8 @@ class MotionEvidence:
                 continue
             beyond = _beyond(self.sizes[name], weights.smallest, weights) if name in self.sizes else np.inf
             odds[NONE] = float(np.logaddexp(odds[NONE], not_outside + value - np.logaddexp(0.0, beyond)))
-            odds[name] = float(not_outside + value - np.logaddexp(0.0, -beyond))
+            of_balance = not_outside + value - np.logaddexp(0.0, -beyond)
+            odds[name] = float(np.logaddexp(odds[name], of_balance) if name in either else of_balance)
         return odds
 
     def _apart(self, freed: Mapping[str, float], weights: SessionWeights) -> dict[str, float]:

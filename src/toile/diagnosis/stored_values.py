@@ -50,7 +50,7 @@ class ValueStore:
 
     Args:
         kinds: dataclasses (and named tuples) that may occur.
-        effects: that may occur, with whatever coefficients; they are stored by name and values.
+        effects: that may occur, with whatever coefficients; they are stored by name, values and place.
     """
 
     def __init__(self, kinds: Iterable[type], effects: Iterable[Effect] = ()) -> None:
@@ -98,6 +98,8 @@ class ValueStore:
                 if value.NAME not in self._effects:
                     raise TypeError(f"{at}: {value.NAME} is none of the effects that may occur")
                 node = {_KIND: "effect", "name": value.NAME, "values": inside("values", value.values)}
+                if place := value.place():
+                    node["place"] = inside("place", place)
             case list():
                 node = [inside(k, part) for k, part in enumerate(value)]
             case dict():
@@ -128,6 +130,8 @@ class ValueStore:
                 value = torch.from_numpy(arrays[node["at"]])
             case "effect":
                 value = self._effects[node["name"]].with_values(self._together(node["values"], arrays))
+                if "place" in node:
+                    value = value.placed(self._together(node["place"], arrays))
             case "dict":
                 value = {key: self._together(part, arrays) for key, part in node["items"].items()}
             case "tuple":

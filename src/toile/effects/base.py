@@ -14,13 +14,15 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import ClassVar, Self
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from toile.errors import InputError
 from toile.geometry.camera import Camera
 from toile.physics.cloth import Cloth
-from toile.physics.step_terms import ElementTerm, VertexTerm
+from toile.physics.step_terms import ElementTerm, StepContext, VertexTerm
 
 
 class Stage(Enum):
@@ -132,6 +134,14 @@ class Effect(ABC):
         """The same effect with the finer fields that a session can tell apart; itself for most effects."""
         return self
 
+    def place(self) -> dict[str, NDArray[np.float64]]:
+        """Where this instance acts, beside its values, as arrays; {} where all of a class are alike."""
+        return {}
+
+    def placed(self, place: Mapping[str, NDArray[np.float64]]) -> Self:
+        """The same effect where ``place`` of another instance says; itself for most effects."""
+        return self
+
     def value(self, name: str) -> Tensor:
         """One parameter, ()."""
         return self.values[[parameter.name for parameter in self.parameters].index(name)]
@@ -181,6 +191,13 @@ class Surroundings:
 
 class VertexEffect(Effect, VertexTerm):
     """Acts within a step through a potential of every vertex (drag, contact, following forces)."""
+
+    def unit_forces(self, positions: Tensor, now: StepContext) -> Tensor | None:
+        """Forces (n_parameters, N, 3) [N] of unit values at positions (N, 3), where they are linear in them.
+
+        None where they are not, or where differentiation is as fast.
+        """
+        return None
 
 
 class ElementEffect(Effect, ElementTerm):

@@ -49,18 +49,21 @@ _EFFECTS: dict[str, type[Effect]] = {
     )
 }
 CATALOGUE: Mapping[str, type[Effect]] = MappingProxyType(_EFFECTS)
-"""Classes by name; every one but Contact, which needs its obstacle, can be made without arguments."""
+"""Classes by name; every one can be made without arguments. A Contact that knows no obstacle touches none."""
 
 _STAGES: dict[str, Stage] = {name: effect.STAGE for name, effect in _EFFECTS.items()}
 STAGES: Mapping[str, Stage] = MappingProxyType(_STAGES)
 """Stage of every effect by name."""
 
-OUTSIDE = ("air_drag", "gusts", "gravity_tilt", "nonuniform_density", "frame_rate")
+OUTSIDE = ("air_drag", "gusts", "gravity_tilt", "nonuniform_density", "frame_rate", "contact")
 """Effects that change the balance of inertia, gravity and forces from outside; all others that move the cloth
 act within it, or through what holds it."""
 
 WEIGHING = ("nonuniform_density",)
 """Those of them that change what forces within the cloth do to its motion as well: m a = m g + f."""
+
+PUSHING = ("contact",)
+"""Those of them whose push, in a place and for a moment, may hardly show in that balance."""
 
 MOVING = (Stage.MECHANICS, Stage.ACTUATION)
 """Stages whose effects move the cloth."""

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Self
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from toile.effects.base import Parameter, Scope, Stage, VertexEffect
-from toile.effects.obstacles import Obstacle
+from toile.effects.obstacles import Nowhere, Obstacle, Plane, Sphere
 from toile.limits import NonNegative, Positive, Unit
 from toile.physics.step_terms import StepContext
 
@@ -23,7 +26,7 @@ class Contact(VertexEffect):
     f = |u| beyond the displacement ε h and is smooth below it, where real cloth sticks.
 
     Args:
-        obstacle: what is touched.
+        obstacle: what is touched; None where nobody knows it, and then nothing is.
         values: see Effect.
         thickness: δ [m].
         sticking_speed: ε [m/s].
@@ -45,15 +48,34 @@ class Contact(VertexEffect):
 
     def __init__(
         self,
-        obstacle: Obstacle,
+        obstacle: Obstacle | None = None,
         values: Mapping[str, float] | None = None,
         thickness: Annotated[NonNegative, Unit("m")] = 0.0,
         sticking_speed: Annotated[Positive, Unit("m/s")] = 0.01,
     ) -> None:
         super().__init__(values)
-        self._obstacle = obstacle
+        self._obstacle = Nowhere() if obstacle is None else obstacle
         self._thickness = thickness
         self._sticking_speed = sticking_speed
+
+    def place(self) -> dict[str, NDArray[np.float64]]:
+        """See Effect."""
+        match self._obstacle:
+            case Plane(point=point, normal=normal):
+                return {"point": point.numpy(), "normal": normal.numpy()}
+            case Sphere(centre=centre, radius=radius):
+                return {"centre": centre.numpy(), "radius": np.array([radius])}
+        return {}
+
+    def placed(self, place: Mapping[str, NDArray[np.float64]]) -> Self:
+        """See Effect."""
+        other = copy.copy(self)
+        match place:
+            case {"point": point, "normal": normal}:
+                other._obstacle = Plane(point.tolist(), normal.tolist())
+            case {"centre": centre, "radius": radius}:
+                other._obstacle = Sphere(centre.tolist(), float(radius[0]))
+        return other
 
     def energy(self, positions: Tensor, now: StepContext) -> Tensor:
         """See VertexTerm."""

@@ -19,6 +19,9 @@ from toile.geometry.surface import triangle_mesh
 
 Array = NDArray[np.float64]
 
+_FAR = 1e3
+"""Distance of nothing [m]."""
+
 
 class Obstacle(ABC):
     """Something solid."""
@@ -37,6 +40,18 @@ class Obstacle(ABC):
         """Unit vectors out of the obstacle, gradients of the distance, (N, 3)."""
 
 
+class Nowhere(Obstacle):
+    """No obstacle that anybody knows of: nothing comes near it."""
+
+    def distance(self, positions: Tensor, earlier: Tensor) -> Tensor:
+        """See Obstacle."""
+        return _FAR + 0.0 * positions.sum(-1)
+
+    def normals(self, positions: Tensor) -> Tensor:
+        """See Obstacle."""
+        return torch.zeros_like(positions)
+
+
 class Plane(Obstacle):
     """A half space.
 
@@ -46,20 +61,20 @@ class Plane(Obstacle):
     """
 
     def __init__(self, point: Sequence[float], normal: Sequence[float]) -> None:
-        self._point, normals = _vector(point, "point"), _vector(normal, "normal")
+        self.point, normals = _vector(point, "point"), _vector(normal, "normal")
         if not float(normals.norm()) > 0:
             raise InputError(
                 "a plane needs a normal", where="obstacle=plane", expected="a vector other than 0", got="0"
             )
-        self._normal = normalize(normals, dim=0)
+        self.normal = normalize(normals, dim=0)
 
     def distance(self, positions: Tensor, earlier: Tensor) -> Tensor:
         """See Obstacle."""
-        return (positions - self._point) @ self._normal
+        return (positions - self.point) @ self.normal
 
     def normals(self, positions: Tensor) -> Tensor:
         """See Obstacle."""
-        return self._normal.expand_as(positions)
+        return self.normal.expand_as(positions)
 
 
 class Sphere(Obstacle):
@@ -75,15 +90,15 @@ class Sphere(Obstacle):
             raise InputError(
                 "a sphere needs a radius", where="obstacle=sphere", expected="> 0 m", got=f"{radius:g}"
             )
-        self._centre, self._radius = _vector(centre, "centre"), radius
+        self.centre, self.radius = _vector(centre, "centre"), radius
 
     def distance(self, positions: Tensor, earlier: Tensor) -> Tensor:
         """See Obstacle."""
-        return (positions - self._centre).norm(dim=-1) - self._radius
+        return (positions - self.centre).norm(dim=-1) - self.radius
 
     def normals(self, positions: Tensor) -> Tensor:
         """See Obstacle."""
-        return normalize(positions - self._centre, dim=-1)
+        return normalize(positions - self.centre, dim=-1)
 
 
 class TriangleMesh(Obstacle):

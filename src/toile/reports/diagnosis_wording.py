@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from toile.diagnosis.record import AMBIGUOUS, MOVED, NONE, PIECES, UNKNOWN, GapReport, Shrink
 from toile.effects.base import Stage
@@ -156,6 +156,24 @@ def certainty(report: GapReport) -> str:
         text += f": {', '.join(each)}." if each else "."
         return f"{text} Every effect among them acts in the {verdict.stage} stage." if stage else text
     return f"Probability {probability}. {stage}".strip() + excluded
+
+
+def obstacles(report: GapReport) -> list[str]:
+    """One sentence for every clip in which something may be touched that nobody knows of."""
+    found = {} if report.session is None else report.session.obstacles
+    return [
+        f"In {clip} the cloth may touch {_obstacle(at)}, in the camera's frame." for clip, at in found.items()
+    ]
+
+
+def _obstacle(at: Mapping[str, Sequence[float]]) -> str:
+    if "centre" in at:
+        return f"something round, {at['radius'][0]:.2f} m in radius, about ({_numbers(at['centre'])}) m"
+    return f"something flat at ({_numbers(at['point'])}) m that faces ({_numbers(at['normal'])})"
+
+
+def _numbers(values: Sequence[float]) -> str:
+    return ", ".join(f"{value:.2f}" for value in values)
 
 
 def shrinkage(shrink: Shrink) -> str:

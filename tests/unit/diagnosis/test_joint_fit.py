@@ -32,9 +32,13 @@ from toile.diagnosis.session_evidence import base_of_session
 from toile.diagnosis.session_settings import SessionSettings
 from toile.diagnosis.shooting import Shooting, ShootingSettings, WindowMotion, cosine_modes
 from toile.diagnosis.softened import ModelError, softened
+from toile.diagnosis.stored_values import ValueStore
+from toile.diagnosis.touched_obstacles import Swept, _Pushes, touching
 from toile.diagnosis.tracked import Tracked
 from toile.effects.base import Effect, Scope, Surroundings
 from toile.effects.catalogue import CATALOGUE, OUTSIDE
+from toile.effects.contact import Contact
+from toile.effects.obstacles import Plane, Sphere
 from toile.effects.setting import setting
 from toile.physics.cloth import grid_cloth
 from toile.physics.grid_laws import GridLaw, angles, taut_fitted
@@ -44,6 +48,7 @@ from toile.physics.implicit.simulator import ImplicitSimulator
 from toile.physics.material import Material
 from toile.physics.rollout import rollout
 from toile.physics.state import State
+from toile.physics.step_terms import StepContext
 from toile.workers import ALONE
 
 GRID = (6, 6)
@@ -718,3 +723,146 @@ class TestSoftened:
         away = np.zeros((36, 3))
         away[0, 0] = 1e-3
         assert 0 < soft.cost(2, tracked.positions[2] + away) < 0.5 * 0.5 * 1e4 * 1e-6
+
+
+class TestUnknownObstacles:
+    """Contact with something that nobody knows of."""
+
+    WIND = (0.3, -1.5)
+    NORMAL = np.array([0.1, 0.1, 1.0]) / np.linalg.norm([0.1, 0.1, 1.0])
+
+    def fitting(self, *acting: Effect) -> tuple[JointFitting, JointFit]:
+        """Fits to a cloth that a wind drives, in short windows, and the base model's."""
+        shooting, around = clip(self.WIND, acting)
+        short = replace(shooting.settings, window=1, jump_position=1e-4, jump_velocity=2e-3)
+        problem = Shooting(
+            shooting.simulator,
+            SUBSTEPS,
+            GRAVITY,
+            HORIZONTAL,
+            GRID,
+            shooting.boundary,
+            shooting.tracked,
+            short,
+        )
+        fitting = JointFitting([joint_clip(problem, around, FRAMES)], 1.5 * STIFFNESS, np.zeros(3))
+        return fitting, fitting.fitted((), fitting.start_fit())
+
+    def obstacle(self) -> Contact:
+        """In the way of the last third of the motion."""
+        free = clip(self.WIND, ())[0].tracked.positions
+        point = [0.1, 0.3, float(free[..., 2].min()) + 0.06]
+        return Contact(Plane(point, self.NORMAL.tolist()), {"stiffness": 2e4, "friction": 0.3})
+
+    def gain(self, fitting: JointFitting, base: JointFit, own: list[dict[str, Effect]]) -> JointFit:
+        """The fit with contact, with what may be touched in the clips."""
+        fitting.clips = [replace(c, own=there) for c, there in zip(fitting.clips, own, strict=True)]
+        return fitting.fitted((Contact(),), base)
+
+    def test_the_plane_is_found_and_explains_more_than_gusts(self) -> None:
+        fitting, base = self.fitting(self.obstacle())
+        own = touching(fitting, base)
+        # Where the cloth is stopped it faces the way that the true one does.
+        met = torch.from_numpy(fitting.clips[0].shooting.tracked.positions.reshape(-1, 3))
+        met = met[self.obstacle()._obstacle.distance(met, met) < 0.003]
+        facing = own[0]["contact"]._obstacle.normals(met).numpy() @ self.NORMAL
+        assert len(facing) > 2
+        assert facing.min() > np.cos(np.radians(20))
+        fit = self.gain(fitting, base, own)
+        gained = base.misfit - fit.misfit
+        gusts = base.misfit - fitting.fitted((CATALOGUE["gusts"](),), base).misfit
+        assert gained > 2 * gusts > 0
+        assert fit.own[0] > 0
+        # What was touched is kept with the fit.
+        kinds = (JointFit, WindowMotion, State)
+        store = ValueStore(kinds, (Contact(),))
+        again = store.value(store.flat(fit))
+        np.testing.assert_equal(again.effects[0][0].place(), own[0]["contact"].place())
+        at = torch.from_numpy(fitting.clips[0].windows[0].positions[-1])
+        there = (own[0]["contact"], again.effects[0][0])
+        distances = [effect._obstacle.distance(at, at) for effect in there]
+        assert torch.equal(*distances)
+
+    def test_where_nothing_is_touched_a_plane_explains_next_to_nothing(self) -> None:
+        fitting, base = self.fitting()
+        own = touching(fitting, base)
+        fit = self.gain(fitting, base, own) if any(own) else base
+        assert base.misfit - fit.misfit < 6
+
+    def test_contact_acts_in_the_clips_that_have_an_obstacle(self) -> None:
+        free = joint_clip(*clip(WINDS[0], ()), FRAMES)
+        wall = Contact(Plane([0.0, 0.0, 0.9], [0.0, 0.0, 1.0]), thickness=0.01)
+        fitting = JointFitting([free, replace(free, own={"contact": wall})], STIFFNESS, np.zeros(3))
+        layout = fitting.layout((Contact(),))
+        assert layout.n_coefficients == 4
+        fit = fitting.started((Contact(),), np.array([1.0, 0.0, 1.0, 0.0]))
+        assert [bool(acting[0].place()) for acting in fit.effects] == [False, True]
+        without = fitting.start_fit()
+        for clip_, moved in ((0, False), (1, True)):
+            pairs = zip(fit.windows[clip_], without.windows[clip_], strict=True)
+            away = max(float(np.abs(a.positions - b.positions).max()) for a, b in pairs)
+            assert (away > 1e-3) == moved
+
+
+class TestSwept:
+    """What a motion comes up to and never enters."""
+
+    def test_planes_are_those_that_many_vertices_come_close_to(self) -> None:
+        rng = np.random.default_rng(0)
+        frames = rng.uniform(-0.2, 0.2, (20, 50, 3))
+        # A wall at x = 0.1, which half of the vertices lie against from frame 5 on.
+        frames[..., 0] = np.minimum(frames[..., 0], 0.05)
+        frames[5:, :25, 0] = 0.1 - 0.0005 * rng.random((15, 25))
+        plane = Swept(frames, 0.3).planes()[0]
+        np.testing.assert_allclose(plane.normal, [-1.0, 0.0, 0.0], atol=0.1)
+        flat = torch.from_numpy(frames.reshape(-1, 3))
+        assert float(plane.distance(flat, flat).min()) > -1e-12
+        beside = Swept(frames, 0.3).beside(plane, 0.1)
+        assert len(beside) == 9
+        turned = [float(one.normal @ plane.normal) for one in beside if isinstance(one, Plane)]
+        np.testing.assert_allclose(turned, [1.0, *[np.cos(0.1)] * 8])
+        # What lies against something from the first frame on has been there before.
+        frames[:, :25] = frames[5, :25]
+        assert all(float(one.normal[0]) > -0.9 for one in Swept(frames, 0.3).planes()[:3])
+
+    def test_a_ball_that_the_cloth_is_laid_over_is_among_them(self) -> None:
+        i, j = np.meshgrid(np.linspace(-0.25, 0.25, 21), np.linspace(-0.25, 0.25, 21), indexing="ij")
+        radius, centre = 0.12, np.array([0.02, 0.01, 1.0])
+        over = np.sqrt(np.clip(radius**2 - (i - centre[0]) ** 2 - (j - centre[1]) ** 2, 0.0, None))
+        frames = []
+        for height in np.linspace(0.3, 0.02, 15):
+            z = np.maximum(np.where(over > 0, over, -1.0), height)
+            frames.append(np.stack((i, j, centre[2] + z), -1).reshape(-1, 3))
+        swept = Swept(np.array(frames), 0.5)
+        balls = swept.balls()
+        away = [np.linalg.norm(ball.centre.numpy() - centre) for ball in balls[:10]]
+        assert min(away) < 0.04
+        nearest = balls[int(np.argmin(away))]
+        assert nearest.radius == pytest.approx(radius, abs=0.04)
+        flat = torch.from_numpy(np.array(frames).reshape(-1, 3))
+        assert all(float(ball.distance(flat, flat).min()) > -1e-12 for ball in balls)
+        beside = swept.beside(nearest, 0.03)
+        assert len(beside) == 27
+        assert all(isinstance(one, Sphere) for one in beside)
+
+    def test_pushes_are_what_differentiation_says(self) -> None:
+        shooting, around = clip(WINDS[0], ())
+        x = shooting.tracked.positions
+        obstacles = [*Swept(x, 0.3).planes()[:3], *Swept(x, 0.3).balls()[:3]]
+        pushes = _Pushes(obstacles, 0.2)
+        at = torch.from_numpy(x[-1])
+        now = StepContext(
+            cloth=around.cloth,
+            material=Material(around.cloth.energies.parameters, torch.from_numpy(STIFFNESS)[None]),
+            positions=at,
+            velocities=torch.zeros_like(at),
+            time=0.0,
+            time_step=0.01,
+            boundary=at[around.cloth.pinned],
+        )
+        for k, forces in enumerate(pushes.unit_forces(at, now)):
+            y = at.clone().requires_grad_()
+            one = pushes.with_values(torch.eye(len(obstacles), dtype=torch.float64)[k])
+            (gradient,) = torch.autograd.grad(one.energy(y, now).sum(), y)
+            torch.testing.assert_close(forces, -gradient)
+            assert float(forces.norm()) > 0

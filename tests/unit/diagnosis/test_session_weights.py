@@ -159,6 +159,32 @@ def test_a_density_is_named_only_where_both_modules_have_it() -> None:
     assert found["anisotropic_stiffness"] == pytest.approx(found["nonuniform_density"])
 
 
+def touching(law: float, freed: float, drag: tuple[float, float]) -> dict[str, float]:
+    """Probabilities where contact, and drag, have so much under a law and beside free forces [nats]."""
+    of = {nats: evidence((nats, 2.0, 2.0)).effects["air_drag"] for nats in (law, freed, *drag)}
+    one = evidence((drag[0], 2.0, 2.0))
+    return chances(
+        replace(
+            one,
+            effects={**one.effects, "contact": of[law]},
+            outside={"air_drag": of[drag[1]], "contact": of[freed]},
+        ),
+        SessionWeights(),
+    )
+
+
+def test_contact_may_show_under_a_law_alone() -> None:
+    """A push in a place and for a moment may leave the balance of torques nearly as it is."""
+    assert touching(90.0, 3.0, (4.0, 3.0))["contact"] > 0.99
+    assert touching(4.0, 3.0, (4.0, 3.0))[NONE] > 0.9
+    # Where it does show there, what is level with it is told apart by the law.
+    both = touching(300.0, 20.0, (30.0, 22.0))
+    assert both["contact"] > 0.95
+    # And what the balance does know stands against a law that takes it for contact.
+    drag = touching(60.0, 20.0, (150.0, 90.0))
+    assert drag["air_drag"] > 0.95
+
+
 def test_what_the_base_model_explains_is_not_left_for_others() -> None:
     sure = evidence((3.0, 90.0, 2.0))
     # Its errors are those that remain beside the usual effect, so its drop is none of theirs.

@@ -135,6 +135,16 @@ def test_ambiguity_names_the_candidates_and_what_to_record(report: GapReport) ->
     assert "air drag 93 %, nothing missing 3 %" in certainty(answered(report, perhaps))
 
 
+def test_what_may_be_touched_is_said_with_its_place(report: GapReport) -> None:
+    wall = {"point": (0.1, -0.2, 0.854), "normal": (0.0, 0.0, -1.0)}
+    session = SessionAnswer(("a", "b"), (5, 5), {}, (), {}, 1.0, obstacles={"b": wall})
+    verdict = Verdict("contact", ("contact",), "mechanics", 0.95, "Because.", "")
+    text = words(header(dataclasses.replace(answered(report, verdict), session=session)))
+    assert "b may touch something at (0.10, -0.20, 0.85) m that faces (0.00, 0.00, -1.00)" in text
+    without = dataclasses.replace(session, obstacles={})
+    assert "touch" not in words(header(dataclasses.replace(answered(report, verdict), session=without)))
+
+
 def test_no_gap_and_unknown_causes(report: GapReport) -> None:
     quiet = tuple(dataclasses.replace(e, probability=0.001) for e in report.effects)
     for name, title in ((NONE, "nothing missing"), (UNKNOWN, "outside the catalogue")):

@@ -1,0 +1,273 @@
+"""Where a cloth may touch something that nobody knows of: planes and balls that it comes up to.
+
+Whatever stands in a cloth's way lies beyond all that the cloth reaches, so no vertex is inside it, in no
+frame, and many are close to it, though none in frame 0. A cloth that swings back comes up to planes, too,
+where it turns, and every fold has its ball. What tells them apart is whether a push along the normal, where
+the cloth is close, lowers the misfit of the base model, all else being refitted to first order: of many
+planes and balls around the motion the one is taken that lowers it most, and then the best of those that lie
+a little beside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain, product
+from typing import Annotated
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from toile.diagnosis.joint_fit import JointFit, JointFitting
+from toile.effects.base import Effect, Parameter, VertexEffect
+from toile.effects.contact import Contact
+from toile.effects.obstacles import Obstacle, Plane, Sphere
+from toile.limits import Count, Fraction, Positive, Unit
+from toile.physics.step_terms import StepContext
+from toile.workers import ALONE, Workers
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TouchedSettings:
+    """How obstacles that are touched are looked for.
+
+    Attributes:
+        margin: distance from which on an obstacle pushes.
+        directions: of planes' normals, evenly over the sphere.
+        spacing: of the balls' centres, which are tried on a grid around the motion.
+        smallest: radius of a ball.
+        largest: radius of a ball; what is flatter is a plane.
+        each: planes, and balls, that are compared: those that most vertices come close to.
+        apart: angle between the normals of two planes at least [°].
+        asides: by how much the best one is moved, one after the other: a plane's normal by that angle [rad],
+            a ball's centre by that share of the width.
+    """
+
+    margin: Annotated[Positive, Unit("widths")] = 0.02
+    directions: Count = 1500
+    spacing: Annotated[Positive, Unit("widths")] = 0.07
+    smallest: Annotated[Positive, Unit("widths")] = 0.08
+    largest: Annotated[Positive, Unit("widths")] = 0.8
+    each: Count = 40
+    apart: Annotated[Positive, Unit("°")] = 16.0
+    asides: tuple[Fraction, ...] = (0.08, 0.03)
+
+
+DEFAULT = TouchedSettings()
+
+
+def sphere(n: int) -> Array:
+    """Directions evenly over the sphere (n, 3), along a Fibonacci spiral (Swinbank and Purser 2006)."""
+    k = np.arange(n) + 0.5
+    height = 1 - 2 * k / n
+    angle = np.pi * (1 + 5**0.5) * k
+    around = np.sqrt(1 - height**2)
+    return np.stack((around * np.cos(angle), around * np.sin(angle), height), -1)
+
+
+@dataclass(frozen=True)
+class Swept:
+    """All places in which vertices have been, in any frame.
+
+    Attributes:
+        positions: of the vertices that are free, frame 0 first (F, N, 3) [m].
+        width: of the cloth [m].
+        settings: see TouchedSettings.
+    """
+
+    positions: Array
+    width: float
+    settings: TouchedSettings = DEFAULT
+
+    @property
+    def margin(self) -> float:
+        """Distance from which on an obstacle pushes [m]."""
+        return self.settings.margin * self.width
+
+    def plane(self, direction: Array) -> Plane:
+        """The plane across a direction (3,) that the vertices come up to and do not pass."""
+        farthest = float((self.positions @ direction).max())
+        return Plane((farthest * direction).tolist(), (-direction).tolist())
+
+    def ball(self, centre: Array) -> Sphere:
+        """The ball around a centre (3,) [m] that the vertices come up to and do not enter."""
+        nearest = float(np.linalg.norm(self.positions - centre, axis=-1).min())
+        return Sphere(centre.tolist(), max(nearest, 1e-3 * self.width))
+
+    def planes(self) -> list[Plane]:
+        """Planes that many vertices come close to, but none in frame 0, those with most first."""
+        directions = sphere(self.settings.directions)
+        along = np.einsum("fnd,kd->kfn", self.positions, directions)
+        near = along > (along.max((1, 2)) - self.margin)[:, None, None]
+        counts = np.where(near[:, 0].any(-1), 0, near.sum((1, 2)))
+        cosine = np.cos(np.radians(self.settings.apart))
+        kept = _highest(counts, self.settings.each, lambda k: directions @ directions[k] > cosine)
+        return [self.plane(directions[k]) for k in kept]
+
+    def balls(self) -> list[Sphere]:
+        """Balls that many vertices come close to, but none in frame 0, those with most first."""
+        s, width = self.settings, self.width
+        flat = self.positions.reshape(-1, 3)
+        lowest, highest = flat.min(0) - 0.5 * width, flat.max(0) + 0.5 * width
+        axes = [np.arange(a, b, s.spacing * width) for a, b in zip(lowest, highest, strict=True)]
+        centres = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+        swept, first = cKDTree(flat), cKDTree(self.positions[0])
+        radius = np.asarray(swept.query(centres)[0])
+        fits = (radius >= s.smallest * width) & (radius <= s.largest * width)
+        fits &= first.query(centres)[0] > radius + self.margin
+        centres, radius = centres[fits], radius[fits]
+        if not len(centres):
+            return []
+        counts = np.asarray(swept.query_ball_point(centres, radius + self.margin, return_length=True))
+        close = 1.5 * s.spacing * width
+        kept = _highest(counts, s.each, lambda k: np.linalg.norm(centres - centres[k], axis=-1) < close)
+        return [self.ball(centres[k]) for k in kept]
+
+    def beside(self, obstacle: Obstacle, aside: float) -> list[Obstacle]:
+        """The obstacle, and others of its kind a little aside, see TouchedSettings.asides."""
+        if isinstance(obstacle, Plane):
+            direction = -obstacle.normal.numpy()
+            across = np.linalg.svd(direction[None])[2][1:]
+            turns = np.pi / 4 * np.arange(8)
+            ring = np.stack((np.cos(turns), np.sin(turns)), -1) @ across
+            return [obstacle, *map(self.plane, np.cos(aside) * direction + np.sin(aside) * ring)]
+        assert isinstance(obstacle, Sphere)
+        moves = aside * self.width * np.array(list(product((-1, 0, 1), repeat=3)), np.float64)
+        return [self.ball(obstacle.centre.numpy() + move) for move in moves]
+
+
+def _highest(counts: NDArray[np.int64], most: int, close: Callable[[int], NDArray[np.bool_]]) -> list[int]:
+    """Places of the counts (K,) that are highest among those close to them, the highest first.
+
+    Args:
+        counts: above 0 where they count.
+        most: places.
+        close: which places are close to one (K,).
+    """
+    left = counts > 0
+    kept: list[int] = []
+    for k in map(int, np.argsort(-counts, kind="stable")):
+        if len(kept) == most or not counts[k]:
+            break
+        if left[k]:
+            kept.append(k)
+            left &= ~close(k)
+    return kept
+
+
+def touching(
+    fitting: JointFitting,
+    base: JointFit,
+    settings: TouchedSettings = DEFAULT,
+    workers: Workers = ALONE,
+) -> list[dict[str, Effect]]:
+    """For every clip contact, at zero, with the obstacle that explains most; nothing where no push helps.
+
+    Args:
+        fitting: the problem of all clips.
+        base: the base model, fitted.
+        settings: see TouchedSettings.
+        workers: share the windows of a clip.
+
+    Returns:
+        See JointClip.own.
+    """
+    found = [_of_clip(fitting, base, c, settings, workers) for c in range(len(fitting.clips))]
+    return [{} if contact is None else {contact.NAME: contact} for contact in found]
+
+
+def _of_clip(
+    fitting: JointFitting, base: JointFit, c: int, settings: TouchedSettings, workers: Workers
+) -> Contact | None:
+    clip = fitting.clips[c]
+    shooting, step = clip.shooting, clip.shooting.substeps
+    frames = [base.windows[c][0].positions[:1], *(w.positions[step::step] for w in base.windows[c])]
+    free = shooting.free[:, 0] > 0
+    swept = Swept(np.concatenate(frames)[:, free], clip.around.cloth_size[0], settings)
+
+    def best_of(obstacles: Sequence[Obstacle]) -> tuple[float, Obstacle]:
+        drops = _drops(fitting, base, c, _Pushes(obstacles, swept.margin), workers)
+        k = int(np.argmax(drops))
+        return float(drops[k]), obstacles[k]
+
+    tried: list[Obstacle] = [*swept.planes(), *swept.balls()]
+    if not tried:
+        return None
+    drop, obstacle = best_of(tried)
+    for aside in settings.asides:
+        if drop <= 0:
+            return None
+        drop, obstacle = best_of(swept.beside(obstacle, aside))
+    return Contact(obstacle, thickness=swept.margin)
+
+
+class _Pushes(VertexEffect):
+    """What many obstacles would each push, without friction: their stiffnesses, at zero.
+
+    Args:
+        obstacles: one for each parameter.
+        thickness: distance from which on they push [m].
+    """
+
+    NAME = Contact.NAME
+    STAGE = Contact.STAGE
+    SCOPE = Contact.SCOPE
+    PARAMETERS = Contact.PARAMETERS[:1]
+    SOURCE = Contact.SOURCE
+    past_reach = 0
+
+    def __init__(self, obstacles: Sequence[Obstacle], thickness: float) -> None:
+        self._obstacles, self._thickness = tuple(obstacles), thickness
+        super().__init__()
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """See Effect."""
+        (stiffness,) = self.PARAMETERS
+        return tuple(replace(stiffness, name=f"{stiffness.name}_{k}") for k in range(len(self._obstacles)))
+
+    def energy(self, positions: Tensor, now: StepContext) -> Tensor:
+        """See VertexTerm."""
+        return 0.5 * now.cloth.masses * (self.values[:, None] * self._depths(positions, now).square()).sum(0)
+
+    def unit_forces(self, positions: Tensor, now: StepContext) -> Tensor:
+        """See VertexEffect."""
+        normals = torch.stack([obstacle.normals(positions) for obstacle in self._obstacles])
+        return (now.cloth.masses * self._depths(positions, now))[..., None] * normals
+
+    def _depths(self, positions: Tensor, now: StepContext) -> Tensor:
+        """By how much vertices are nearer than pushes begin (K, N) [m]."""
+        away = torch.stack([obstacle.distance(positions, now.positions) for obstacle in self._obstacles])
+        return (self._thickness - away).clamp(min=0.0)
+
+
+def _drops(
+    fitting: JointFitting, base: JointFit, c: int, pushes: _Pushes, workers: Workers
+) -> NDArray[np.float64]:
+    """By how much the misfit of one clip falls with each of the pushes alone (K,) [nats]."""
+    usual = fitting.usual_in(base)
+    whole = fitting.layout(usual)
+    values = base.values[: len(fitting.start)]
+    alone = JointFitting([fitting.clips[c]], fitting.start, values, fitting.settings, usual)
+    there = np.concatenate([np.zeros(0, np.intp), *whole.coefficients(c)])
+    here = replace(
+        base,
+        values=base.values[whole.base(c)],
+        coefficients=base.coefficients[there],
+        windows=[base.windows[c]],
+        effects=[base.effects[c]],
+    )
+    considered = [pushes, *usual]
+    evidence = alone.quadratic(considered, here, alone.systems(considered, here, workers))
+    layout = alone.layout(considered)
+    own, *others = [[layout.n_base + place for place in places] for places in layout.places]
+    settings = fitting.settings
+    wide = [settings.inflation(effect) for effect in usual for _ in effect.scales]
+    information, score = evidence.information(own, alone.size, list(chain.from_iterable(others)), wide)
+    precision = np.diag(information) + settings.inflation(Contact()) ** -2
+    return np.asarray(0.5 * np.clip(score, 0.0, None) ** 2 / precision)
