@@ -140,7 +140,11 @@ def test_what_may_be_touched_is_said_with_its_place(report: GapReport) -> None:
     session = SessionAnswer(("a", "b"), (5, 5), {}, (), {}, 1.0, obstacles={"b": wall})
     verdict = Verdict("contact", ("contact",), "mechanics", 0.95, "Because.", "")
     text = words(header(dataclasses.replace(answered(report, verdict), session=session)))
-    assert "b may touch something at (0.10, -0.20, 0.85) m that faces (0.00, 0.00, -1.00)" in text
+    assert "In b the cloth may touch something flat at (0.10, -0.20, 0.85) m" in text
+    assert "that faces (0.00, 0.00, -1.00)" in text
+    ball = dataclasses.replace(session, obstacles={"a": {"centre": (0.1, 0.2, 1.0), "radius": (0.14,)}})
+    text = words(header(dataclasses.replace(answered(report, verdict), session=ball)))
+    assert "In a the cloth may touch something round, 0.14 m in radius, about (0.10, 0.20, 1.00) m" in text
     without = dataclasses.replace(session, obstacles={})
     assert "touch" not in words(header(dataclasses.replace(answered(report, verdict), session=without)))
 
