@@ -417,10 +417,14 @@ def _of_class(
 
 
 def _obstacles(found: _Found, session: Session) -> dict[str, dict[str, tuple[float, ...]]]:
-    """Planes that may be touched, by clip."""
+    """What may be touched, by clip."""
     pairs = zip(session.clips, found.model.own, strict=True)
     return {
-        clip.folder.name: {name: tuple(map(float, at)) for name, at in own[Contact.NAME].place().items()}
+        clip.folder.name: {
+            name: tuple(map(float, at))
+            for name, at in own[Contact.NAME].place().items()
+            if name != "thickness"
+        }
         for clip, own in pairs
         if Contact.NAME in own
     }

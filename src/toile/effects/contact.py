@@ -60,21 +60,25 @@ class Contact(VertexEffect):
 
     def place(self) -> dict[str, NDArray[np.float64]]:
         """See Effect."""
+        thickness = np.array([self._thickness])
         match self._obstacle:
             case Plane(point=point, normal=normal):
-                return {"point": point.numpy(), "normal": normal.numpy()}
+                return {"point": point.numpy(), "normal": normal.numpy(), "thickness": thickness}
             case Sphere(centre=centre, radius=radius):
-                return {"centre": centre.numpy(), "radius": np.array([radius])}
+                return {"centre": centre.numpy(), "radius": np.array([radius]), "thickness": thickness}
         return {}
 
     def placed(self, place: Mapping[str, NDArray[np.float64]]) -> Self:
         """See Effect."""
+        if not place:
+            return self
         other = copy.copy(self)
         match place:
             case {"point": point, "normal": normal}:
                 other._obstacle = Plane(point.tolist(), normal.tolist())
             case {"centre": centre, "radius": radius}:
                 other._obstacle = Sphere(centre.tolist(), float(radius[0]))
+        other._thickness = float(place["thickness"][0])
         return other
 
     def energy(self, positions: Tensor, now: StepContext) -> Tensor:

@@ -782,6 +782,7 @@ class TestUnknownObstacles:
         there = (own[0]["contact"], again.effects[0][0])
         distances = [effect._obstacle.distance(at, at) for effect in there]
         assert torch.equal(*distances)
+        assert again.effects[0][0]._thickness == own[0]["contact"]._thickness > 0
 
     def test_where_nothing_is_touched_a_plane_explains_next_to_nothing(self) -> None:
         fitting, base = self.fitting()
