@@ -8,13 +8,12 @@ blind, each by the version of its day: sets of few sessions say little one by on
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 
 import pandas as pd
 
 from toile.atomic_file import write_text
-from toile.blind.session_measures import measured_sessions
+from toile.blind.session_measures import measured_sessions, with_intervals
 
 RESULTS = Path("docs") / "results"
 STEM = "blind_sessions_pooled"
@@ -76,10 +75,7 @@ def pooled(every: pd.DataFrame) -> pd.DataFrame:
 def markdown(table: pd.DataFrame, every: pd.DataFrame) -> str:
     """The page."""
     shown = table[table["measure"].isin(MEASURES) & (table["scenes"] > 0)].copy()
-    shown["cell"] = [
-        f"{v:.2f} [{low:.2f}, {high:.2f}], {n:.0f}"
-        for v, low, high, n in zip(shown["value"], shown["low"], shown["high"], shown["scenes"], strict=True)
-    ]
+    shown["cell"] = with_intervals(shown)
     parts = []
     for (version, clips), rows in shown.groupby(["version", "clips"], sort=False):
         wide = rows.pivot(index="measure", columns="generator", values="cell").fillna("–")
@@ -111,13 +107,13 @@ def _set(name: str) -> str:
     return f"[{name.replace('_', ' ') or 'the last'}]({stem}.md)"
 
 
-def write(folder: Path = RESULTS) -> Mapping[str, Path]:
-    """Write page and table; returns their paths."""
+def write(folder: Path = RESULTS) -> Path:
+    """Write the table and the page, and return the path of that."""
     every = marks(folder)
     table = pooled(every)
-    csv = write_text(folder / f"{STEM}.csv", table.to_csv(index=False, float_format="%.6g"))
-    return {"csv": csv, "md": write_text(folder / f"{STEM}.md", markdown(table, every))}
+    write_text(folder / f"{STEM}.csv", table.to_csv(index=False, float_format="%.6g"))
+    return write_text(folder / f"{STEM}.md", markdown(table, every))
 
 
 if __name__ == "__main__":
-    print(write()["md"].read_text())
+    print(write().read_text())

@@ -53,7 +53,6 @@ from toile.diagnosis.session_weights import MotionEvidence, SessionWeights, chan
 from toile.diagnosis.stage_store import StageStore
 from toile.diagnosis.stage_times import StageTimes
 from toile.diagnosis.stored_values import ValueStore
-from toile.diagnosis.touched_obstacles import touching
 from toile.effects.base import Effect
 from toile.effects.catalogue import PUSHING
 from toile.effects.contact import Contact
@@ -190,11 +189,9 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
     revision = current_git_revision()
     seconds = sum((clip.n_frames - 1) / clip.problem.scene.fps for clip in clips)
     moving = [effect for effect in effects if isinstance(effect, FORCES)]
-    if settings.touched is not None and all(effect.NAME != Contact.NAME for effect in effects):
-        own = touching(fitting, base, settings.touched)
-        if any(own):
-            model = SessionModel(clips, motion, settings, stiffness, own)
-            fitting, moving = model.fitting, [*moving, Contact()]
+    model = model.with_obstacles(effects, base)
+    if any(model.own):
+        fitting, moving = model.fitting, [*moving, Contact()]
     truth_is = cause_of(folder.name)
     fits = fitting.linearised(moving, base, fitting.quadratic(moving, base, fitting.systems(moving, base)))
     fits |= {effect.NAME: usual for effect in moving if effect.NAME in usual.names}

@@ -35,7 +35,7 @@ def test_every_set_counts_once_and_nulls_are_no_missing_values(pooled: ModuleTyp
     assert table[pooled.BEFORE, "1", "all", nulls] == 2
     assert table[pooled.SINCE, "3", "all", nulls] == 3
     assert not any(clips == pooled.SCENE for _, clips, _, _ in table.index)
-    page = pooled.write(tmp_path)["md"].read_text()
+    page = pooled.write(tmp_path).read_text()
     assert "[four](blind_sessions_four.md) (4)" in page
     assert "nan" not in page
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +16,13 @@ from toile.blind.grading import spend
 from toile.blind.measures import confusion
 from toile.blind.run import Predictions, read_predictions
 from toile.blind.sealing import BlindSet, SealKey, read_commitments
-from toile.blind.session_measures import by_size, mark_session, measured_sessions, reliability
+from toile.blind.session_measures import (
+    by_size,
+    mark_session,
+    measured_sessions,
+    reliability,
+    with_intervals,
+)
 from toile.errors import InputError
 
 
@@ -136,10 +141,7 @@ def write_session_grade(grade: SessionGrade, folder: Path, table: Path | None = 
 def markdown(grade: SessionGrade) -> str:
     """The tables for people: measures by generator and number of clips, with intervals."""
     shown = grade.measures.copy()
-    shown["value"] = [
-        "–" if math.isnan(v) else f"{v:.2f} [{low:.2f}, {high:.2f}], {n:.0f}"
-        for v, low, high, n in zip(shown["value"], shown["low"], shown["high"], shown["scenes"], strict=True)
-    ]
+    shown["value"] = with_intervals(shown)
     shown["column"] = [f"{g}, {c}" for g, c in zip(shown["generator"], shown["clips"], strict=True)]
     order = list(dict.fromkeys(shown["column"]))
     wide = shown.pivot(index="measure", columns="column", values="value")

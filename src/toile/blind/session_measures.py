@@ -214,6 +214,15 @@ def measured_sessions(marks: pd.DataFrame, *, resamplings: int, seed: int) -> pd
 _SIZE_COLUMNS = ("clips", "generator", "by", "low_edge", "high_edge", "value", "low", "high", "scenes")
 
 
+def with_intervals(measures: pd.DataFrame) -> list[str]:
+    """Value [95 % interval], sessions of every row of the table; a dash where there is none."""
+    columns = (measures[name] for name in ("value", "low", "high", "scenes"))
+    return [
+        "–" if math.isnan(value) else f"{value:.2f} [{low:.2f}, {high:.2f}], {n:.0f}"
+        for value, low, high, n in zip(*columns, strict=True)
+    ]
+
+
 def by_size(marks: pd.DataFrame) -> pd.DataFrame:
     """Named rightly over size: clips, generator, by, low_edge, high_edge, value, low, high, scenes.
 

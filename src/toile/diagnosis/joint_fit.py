@@ -175,6 +175,17 @@ def tracked_velocities(shooting: Shooting, n_frames: int) -> Array:
     return v
 
 
+def frame_positions(shooting: Shooting, windows: Sequence[WindowMotion]) -> Array:
+    """Positions in all frames (F, N, 3) [m] of windows that follow one another.
+
+    Args:
+        shooting: the problem.
+        windows: simulated.
+    """
+    step = shooting.substeps
+    return np.concatenate([windows[0].positions[:1], *(window.positions[step::step] for window in windows)])
+
+
 def fitted_velocities(shooting: Shooting, windows: Sequence[WindowMotion]) -> Array:
     """Of all frames (F, N, 3) [m/s]: those of a fit where its windows start, and as tracked elsewhere.
 
@@ -469,6 +480,12 @@ class JointFitting:
         """
         other = copy.copy(self)
         other.usual = tuple(effects)
+        return other
+
+    def with_own(self, own: Sequence[Mapping[str, Effect]]) -> JointFitting:
+        """Fits to the same clips with effects that act elsewhere in each, see JointClip.own."""
+        other = copy.copy(self)
+        other.clips = [replace(clip, own=there) for clip, there in zip(self.clips, own, strict=True)]
         return other
 
     def with_effect_at_zero(self, fit: JointFit, effect: Effect) -> JointFit:

@@ -65,7 +65,6 @@ from toile.diagnosis.settings import DiagnosisSettings
 from toile.diagnosis.stage_store import StageStore
 from toile.diagnosis.stage_times import TIMES_FILE, StageTimes
 from toile.diagnosis.stored_values import ValueStore
-from toile.diagnosis.touched_obstacles import touching
 from toile.diagnosis.verdict import is_clear, of_two, refuted, seen_in_part, verdict_of
 from toile.effects.base import Effect
 from toile.effects.catalogue import CATALOGUE, PUSHING, STAGES
@@ -164,13 +163,12 @@ def diagnose_session(
     usual = pipeline.run(stages.usual(0.53), motion, plain)
     base = base_of_session(plain, usual)
     weights = SessionWeights.load().of_clips(len(clips))
-    if together.touched is not None and all(effect.NAME != Contact.NAME for effect in effects):
+    if together.touched is not None:
         progress("what the cloth may touch", 0.54)
-        own = touching(model.fitting, base, together.touched, workers)
-        if any(own):
-            model = SessionModel(clips, motion, together, settings.stiffness, own)
-            stages = HypothesisStages(model, progress, made_from, workers)
-            effects, moving = (*effects, Contact()), [*moving, Contact()]
+    model = model.with_obstacles(effects, base, workers)
+    if any(model.own):
+        stages = replace(stages, model=model)
+        effects, moving = (*effects, Contact()), [*moving, Contact()]
     outside = pipeline.run(
         outside_stage(clips, together, settings.stiffness, moving, 0.55, made_from, workers, model.own),
         motion,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar, TypeVarTuple
@@ -11,7 +12,14 @@ from numpy.typing import NDArray
 
 from toile.diagnosis.base_fit import N_WIND
 from toile.diagnosis.fingerprint import fingerprint
-from toile.diagnosis.joint_fit import JointClip, JointFit, JointFitting, fitted_velocities, joint_clip
+from toile.diagnosis.joint_fit import (
+    JointClip,
+    JointFit,
+    JointFitting,
+    fitted_velocities,
+    frame_positions,
+    joint_clip,
+)
 from toile.diagnosis.mechanics import shooting_of, start_material, surroundings
 from toile.diagnosis.model_errors import ModelErrors, model_errors, with_share
 from toile.diagnosis.model_grid import ModelGrid, model_grid
@@ -22,8 +30,10 @@ from toile.diagnosis.results import Seen, TrackedMotion
 from toile.diagnosis.session_settings import SessionSettings
 from toile.diagnosis.softened import softened
 from toile.diagnosis.stages import DiagnosisStages
+from toile.diagnosis.touched_obstacles import touching
 from toile.effects.base import Effect
 from toile.effects.catalogue import CATALOGUE
+from toile.effects.contact import Contact
 from toile.workers import ALONE, Workers
 
 Array = NDArray[np.float64]
@@ -167,6 +177,24 @@ class SessionModel:
             for clip, windows in zip(self.fitting.clips, fit.windows, strict=True)
         )
 
+    def with_obstacles(
+        self, effects: Sequence[Effect], base: JointFit, workers: Workers = ALONE
+    ) -> SessionModel:
+        """The same with what the cloth may touch in every clip, where that is asked for and is not known.
+
+        Args:
+            effects: candidates; contact among them comes with its obstacle.
+            base: the base model, fitted.
+            workers: share the windows of a clip.
+        """
+        if self.settings.touched is None or any(effect.NAME == Contact.NAME for effect in effects):
+            return self
+        other = copy.copy(self)
+        other.own = touching(self.fitting, base, self.settings.touched, workers)
+        other.fitting = self.fitting.with_own(other.own)
+        other.left_out = None if self.left_out is None else self.left_out.with_own(other.own[:-1])
+        return other
+
     def last_clip_of(self, effects: Sequence[Effect], fit: JointFit, workers: Workers = ALONE) -> JointClip:
         """The last clip around the motion that a hypothesis refines it to, in one round of that clip alone.
 
@@ -197,9 +225,8 @@ class SessionModel:
         """The motion of a fit, on the scenes' grids."""
         positions = []
         for clip, grid, windows in zip(self.fitting.clips, self.grids, fit.windows, strict=True):
-            step = clip.shooting.substeps
-            frames = [windows[0].positions[:1], *(window.positions[step::step] for window in windows)]
-            positions.append(np.einsum("vn,fnc->fvc", grid.prolong, np.concatenate(frames)))
+            frames = frame_positions(clip.shooting, windows)
+            positions.append(np.einsum("vn,fnc->fvc", grid.prolong, frames))
         pairs = zip(self.fitting.clips, fit.windows, strict=True)
         velocities = [fitted_velocities(clip.shooting, windows) for clip, windows in pairs]
         return RefinedMotion(positions, fit.values, velocities=velocities)

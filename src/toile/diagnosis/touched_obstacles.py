@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from toile.diagnosis.joint_fit import JointFit, JointFitting
+from toile.diagnosis.joint_fit import JointFit, JointFitting, frame_positions
 from toile.effects.base import Effect, Parameter, VertexEffect
 from toile.effects.contact import Contact
 from toile.effects.obstacles import Obstacle, Plane, Sphere
@@ -185,10 +185,9 @@ def _of_clip(
     fitting: JointFitting, base: JointFit, c: int, settings: TouchedSettings, workers: Workers
 ) -> Contact | None:
     clip = fitting.clips[c]
-    shooting, step = clip.shooting, clip.shooting.substeps
-    frames = [base.windows[c][0].positions[:1], *(w.positions[step::step] for w in base.windows[c])]
-    free = shooting.free[:, 0] > 0
-    swept = Swept(np.concatenate(frames)[:, free], clip.around.cloth_size[0], settings)
+    free = clip.shooting.free[:, 0] > 0
+    positions = frame_positions(clip.shooting, base.windows[c])[:, free]
+    swept = Swept(positions, clip.around.cloth_size[0], settings)
 
     def best_of(obstacles: Sequence[Obstacle]) -> tuple[float, Obstacle]:
         drops = _drops(fitting, base, c, _Pushes(obstacles, swept.margin), workers)
