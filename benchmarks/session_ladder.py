@@ -27,18 +27,18 @@ from toile.atomic_file import write_text
 from toile.cli.configuration import CONF, register_resolvers
 from toile.cli.diagnose import session_problem
 from toile.denormals import denormals_flushed
-from toile.diagnosis.decision import NONE
+from toile.diagnosis.decision import NONE, UNKNOWN
 from toile.diagnosis.effect_evidence import EffectEvidence
 from toile.diagnosis.effect_sensitivities import FORCES
 from toile.diagnosis.effect_size import displacement
 from toile.diagnosis.fingerprint import fingerprint
 from toile.diagnosis.joint_fit import JointFit
 from toile.diagnosis.left_out import left_out_shrinks
-from toile.diagnosis.outside_causes import outside_causes
+from toile.diagnosis.outside_causes import OutsideCauses, outside_causes
 from toile.diagnosis.pipeline import Pipeline
 from toile.diagnosis.problem import DiagnosisProblem
 from toile.diagnosis.results import KINDS
-from toile.diagnosis.session_diagnosis import learned_chances
+from toile.diagnosis.session_diagnosis import learned_chances, stand_in_sizes
 from toile.diagnosis.session_evidence import base_of_session, promising
 from toile.diagnosis.session_settings import SessionSettings
 from toile.diagnosis.session_stages import (
@@ -54,7 +54,7 @@ from toile.diagnosis.stage_store import StageStore
 from toile.diagnosis.stage_times import StageTimes
 from toile.diagnosis.stored_values import ValueStore
 from toile.effects.base import Effect
-from toile.effects.catalogue import PUSHING
+from toile.effects.catalogue import PUSHING, STAND_INS
 from toile.effects.contact import Contact
 from toile.generation.clip_plan import DEFAULT_CLIPS, ClipPlan
 from toile.generation.out_of_family.base_scene import OutOfFamilySettings
@@ -193,14 +193,17 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
     if any(model.own):
         fitting, moving = model.fitting, [*moving, Contact()]
     truth_is = cause_of(folder.name)
+    longest = (clips[0].problem.scene.n_frames - 1) / clips[0].problem.scene.fps
+    moving += [STAND_INS[name]().for_clip(longest) for name in settings.stand_ins]
     fits = fitting.linearised(moving, base, fitting.quadratic(moving, base, fitting.systems(moving, base)))
     fits |= {effect.NAME: usual for effect in moving if effect.NAME in usual.names}
     chosen = promising(base, fits, moving, errors, settings.fitted, plain, usual.names)
     # The cause is fitted whatever it promises, so that what it predicts is known.
     chosen += [e for e in moving if truth_is == e.NAME and e not in chosen and e.NAME not in usual.names]
-    causes = {}
+    outside = OutsideCauses({})
     if "force" not in rung:
-        causes = outside_causes(clips, motion, settings, stiffness, moving, own=model.own).causes
+        outside = outside_causes(clips, motion, settings, stiffness, moving, own=model.own)
+    causes = outside.causes
     evidence: dict[str, EffectEvidence] = {}
     sizes: dict[str, float] = {}
     rows: list[dict[str, object]] = []
@@ -215,7 +218,7 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
         far = displacement(fitting.clips, fitting.start, fit, model.width).last
         found = _evidence(against, fit)
         evidence[effect.NAME], sizes[effect.NAME] = found, far
-        outside = causes.get(effect.NAME)
+        freed = causes.get(effect.NAME)
         rows.append(
             {
                 "session": folder.name,
@@ -236,24 +239,31 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
                 "nats before it is fitted": before.nats(),
                 "moves the cloth by [% of the width]": 100 * far,
                 "learned": learned.get(effect.NAME, float("nan")),
-                "nats from outside": None if outside is None else outside.evidence.nats(),
-                **({} if outside is None else evidence_columns(outside.evidence, "outside ")),
+                "nats from outside": None if freed is None else freed.evidence.nats(),
+                "moves the cloth from outside by [% of the width]": None
+                if freed is None
+                else 100 * freed.displacement.last,
+                **({} if freed is None else evidence_columns(freed.evidence, "outside ")),
                 "passes": len(fit.history) - len(base.history),
                 "CPU [s]": time.process_time() - began,
             }
         )
     every = {name: sizes.pop(name) for name in usual.names if name in sizes}
-    sizes |= {name: cause.displacement.last for name, cause in causes.items() if name not in PUSHING}
+    under_law = (*PUSHING, *STAND_INS)
+    sizes |= {name: cause.displacement.last for name, cause in causes.items() if name not in under_law}
+    sizes |= stand_in_sizes(sizes, outside)
     from_outside = {name: cause.evidence for name, cause in causes.items()}
     said = chances(
         MotionEvidence(errors, evidence, learned or None, every, sizes, from_outside),
         SessionWeights.load().of_clips(len(clips)),
     )
     fps, exact = clips[-1].problem.scene.fps, rung.startswith("true")
-    predicted = _predicted(model, base, fits, chosen, settings, fps, exact=exact)
+    asked_for = [effect for effect in chosen if truth_is == effect.NAME]
+    predicted = _predicted(model, base, fits, asked_for, settings, fps, exact=exact) if asked_for else {}
     for row in rows:
         name = str(row["effect"])
-        row |= {"probability": said[name], "probability of none": said[NONE], **predicted.get(name, {})}
+        row |= {"probability": said.get(name, float("nan")), "probability of none": said[NONE]}
+        row |= {"probability of unknown": said.get(UNKNOWN, float("nan")), **predicted.get(name, {})}
     return rows
 
 

@@ -221,6 +221,7 @@ def tracked_windows(shooting: Shooting, n_frames: int, velocities: Array | None 
             torch.from_numpy(v[first].copy())[None],
             h,
             shooting.simulator.n_past,
+            torch.tensor([first * sub * h], dtype=torch.float64),
         )
         n = last - first
         motion = np.asarray(path(first + np.arange(n * sub + 1) / sub))

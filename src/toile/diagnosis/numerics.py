@@ -118,7 +118,7 @@ def _with_half_past(state: State, H: float) -> State:
     x, v = state.positions, state.velocities
     bend = state.past[:, 0] - x + H * v
     times = [(k + 1) * H / 2 for k in range(state.past.shape[1])]
-    return State(x, v, torch.stack([x - t * v + (t / H) ** 2 * bend for t in times], 1), state.steps)
+    return replace(state, past=torch.stack([x - t * v + (t / H) ** 2 * bend for t in times], 1))
 
 
 def _distance(

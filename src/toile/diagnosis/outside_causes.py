@@ -29,7 +29,7 @@ from toile.diagnosis.pipeline import PipelineStage
 from toile.diagnosis.session_settings import SessionSettings
 from toile.diagnosis.session_stages import Own, RefinedMotion, SeenClip, SessionModel
 from toile.effects.base import Effect
-from toile.effects.catalogue import OUTSIDE
+from toile.effects.catalogue import OUTSIDE, STAND_INS
 from toile.limits import Unit
 from toile.workers import ALONE, Workers
 
@@ -72,8 +72,8 @@ class OutsideCauses:
     converged: bool = True
 
     def leading(self, least: float) -> str | None:
-        """The cause with most evidence; None where that is less than so many nats."""
-        nats = {name: cause.evidence.nats() for name, cause in self.causes.items()}
+        """The cause with most evidence, stand-ins aside; None where that is less than so many nats."""
+        nats = {n: cause.evidence.nats() for n, cause in self.causes.items() if n not in STAND_INS}
         best = max(nats, key=lambda name: nats[name], default=None)
         return best if best is not None and nats[best] >= least else None
 
@@ -94,11 +94,11 @@ def outside_causes(
         motion: where the image term is linearised and windows start.
         settings: see SessionSettings, ``freed`` among them.
         stiffness: where fits begin.
-        effects: candidates; those that act within the cloth are left out.
+        effects: candidates and stand-ins; of the candidates those that act within the cloth are left out.
         workers: share the windows of a clip.
         own: see SessionModel.
     """
-    outside = [effect for effect in effects if effect.NAME in OUTSIDE]
+    outside = [effect for effect in effects if effect.NAME in (*OUTSIDE, *STAND_INS)]
     found = freed_fit(clips, motion, settings, stiffness, workers, own) if outside else None
     return OutsideCauses({}) if found is None else judged(*found, outside, workers=workers)
 

@@ -19,7 +19,7 @@ Keys of the file:
 - ``session``: null, or of several clips ``clips`` [name], ``frames`` [number], ``probabilities`` {name:
   number}, ``equivalence_classes`` [[name]], ``material`` {name: number}, ``left``, ``next_clip``,
   ``expected_information`` {motion: number}, ``obstacles`` {clip: {``point``, ``normal``
-  or ``centre``, ``radius``}}
+  or ``centre``, ``radius``}}, ``stand_ins`` {name: {``probability``, ``moves``, ``found`` {name: number}}}
 
 Numbers that do not exist are null. Keys that are not listed are refused: a typing error must not pass for a
 missing answer.
@@ -237,6 +237,21 @@ class CalibrationUse:
 
 
 @dataclass(frozen=True)
+class StandIn:
+    """What stands in for a cause that the catalogue lacks.
+
+    Attributes:
+        probability: that it is what moves the cloth.
+        moves: how far it moves the cloth in the last third of the first clip [widths].
+        found: what it is like in the first clip, by name and unit, see catalogue.STAND_INS.
+    """
+
+    probability: Fraction
+    moves: float
+    found: dict[str, float]
+
+
+@dataclass(frozen=True)
 class SessionAnswer:
     """What several clips of one cloth add to a report.
 
@@ -260,6 +275,7 @@ class SessionAnswer:
         obstacles: where contact is what may be missing: what is touched, by clip, in the camera's frame: of a
             plane a ``point`` [m] and its ``normal`` towards the cloth, of a ball its ``centre`` and
             ``radius`` [m].
+        stand_ins: where UNKNOWN is what may be missing: what it looks like, by the name of the stand-in.
     """
 
     clips: tuple[str, ...]
@@ -276,6 +292,7 @@ class SessionAnswer:
     first: str = ""
     second: str = ""
     obstacles: dict[str, dict[str, tuple[float, ...]]] = field(default_factory=dict)
+    stand_ins: dict[str, StandIn] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

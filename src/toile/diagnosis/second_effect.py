@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from toile.diagnosis.decision import NONE
+from toile.diagnosis.decision import NONE, UNKNOWN
 from toile.diagnosis.effect_evidence import EffectEvidence
 from toile.diagnosis.effect_size import displacement
 from toile.diagnosis.joint_fit import JointFit
@@ -168,4 +168,4 @@ class EffectsBeside:
 
 def _believed(found: Mapping[str, float], settings: VerdictSettings) -> str:
     first = max(found, key=lambda name: found[name])
-    return first if first != NONE and is_clear(found, settings) else ""
+    return first if first not in (NONE, UNKNOWN) and is_clear(found, settings) else ""

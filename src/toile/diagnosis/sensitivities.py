@@ -146,6 +146,7 @@ class KnownMotion:
         steps: taken before; multistep methods begin with formulas of their own.
         past_step: between the positions before the first one [s]; None: the time step.
         settings: of the tangents.
+        began: when the first of the steps taken before began, since frame 0 [s].
     """
 
     def __init__(
@@ -157,8 +158,10 @@ class KnownMotion:
         steps: int = 0,
         past_step: float | None = None,
         settings: TangentSettings = DEFAULT,
+        began: float = 0.0,
     ) -> None:
         self.simulator = simulator
+        self.began = began
         self.settings = settings
         self.past_step = simulator.time_step if past_step is None else past_step
         self.positions = positions
@@ -194,7 +197,7 @@ class KnownMotion:
             material=self.material,
             positions=torch.from_numpy(self.positions[n]),
             velocities=torch.from_numpy(self._velocity(n)),
-            time=(self._before + n + 1) * simulator.time_step,
+            time=self.began + (self._before + n + 1) * simulator.time_step,
             time_step=simulator.time_step,
             boundary=torch.from_numpy(self.positions[n + 1][simulator.assembly.pinned]),
         )

@@ -11,6 +11,7 @@ from toile.diagnosis.continuity import WindowSystem
 from toile.diagnosis.joint_fit import JointFitting
 from toile.diagnosis.record import Alias
 from toile.effects.base import Effect
+from toile.effects.catalogue import STAND_INS
 
 Array = NDArray[np.float64]
 
@@ -28,14 +29,16 @@ def session_alias(
 
     Args:
         fitting: the problem.
-        effects: that move the cloth.
+        effects: that move the cloth; stand-ins, which take up nearly anything, are left out.
         systems: of every clip around the base model, see JointFitting.systems.
         needed: evidence from which on an effect is seen [nats].
         scale: by which misfits are too large, see session_evidence.
     """
     fisher = fitting.fisher(effects, systems) / scale
-    places = fitting.layout(effects).places
-    names = [effect.NAME for effect in effects]
+    pairs = zip(effects, fitting.layout(effects).places, strict=True)
+    kept = [(effect, own) for effect, own in pairs if effect.NAME not in STAND_INS]
+    places = [own for _, own in kept]
+    names = [effect.NAME for effect, _ in kept]
     roots = [_inverse_root(fisher[np.ix_(own, own)]) for own in places]
     matrix = np.eye(len(names))
     for i in range(len(names)):
@@ -43,7 +46,7 @@ def session_alias(
             cross = roots[i] @ fisher[np.ix_(places[i], places[j])] @ roots[j]
             matrix[i, j] = matrix[j, i] = min(1.0, float(np.linalg.norm(cross, 2)))
     limits: dict[str, float | None] = {}
-    for effect, own in zip(effects, places, strict=True):
+    for effect, own in kept:
         parameter = effect.parameters[0]
         information = float(fisher[own[0], own[0]])
         limit = float(np.sqrt(2 * needed / max(information, 1e-12))) * parameter.scale

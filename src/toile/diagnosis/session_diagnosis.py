@@ -9,7 +9,9 @@ from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from scipy.special import softmax
 
 from toile.atomic_file import written_atomically
 from toile.denormals import denormals_flushed
@@ -38,6 +40,7 @@ from toile.diagnosis.record import (
     GapReport,
     Protocol,
     SessionAnswer,
+    StandIn,
     Verdict,
     Where,
 )
@@ -67,8 +70,10 @@ from toile.diagnosis.stage_times import TIMES_FILE, StageTimes
 from toile.diagnosis.stored_values import ValueStore
 from toile.diagnosis.verdict import is_clear, of_two, refuted, seen_in_part, verdict_of
 from toile.effects.base import Effect
-from toile.effects.catalogue import CATALOGUE, PUSHING, STAGES
+from toile.effects.catalogue import CATALOGUE, PUSHING, STAGES, STAND_INS
 from toile.effects.contact import Contact
+from toile.effects.rest_length_drift import RestLengthDrift
+from toile.effects.steady_forces import SteadyForces
 from toile.generation.clip_plan import MOTIONS
 from toile.scenes.session import Session
 from toile.workers import ALONE, Workers
@@ -103,6 +108,7 @@ class _Found:
     gains: dict[str, float]
     displacements: dict[str, Displacement]
     second: SecondEffect | None
+    stand_ins: dict[str, StandIn]
 
 
 @denormals_flushed()
@@ -138,7 +144,9 @@ def diagnose_session(
     moving = [effect for effect in effects if isinstance(effect, FORCES)]
     times = StageTimes.going_on(folder / TIMES_FILE)
     # Usual effects act whether they are candidates or not.
-    acting = (Contact(), *(CATALOGUE[name]() for name in together.usual), *effects)
+    longest = max((p.scene.n_frames - 1) / p.scene.fps for p in problems)
+    stand_ins = [STAND_INS[name]().for_clip(longest) for name in together.stand_ins]
+    acting = (Contact(), *(CATALOGUE[name]() for name in together.usual), *stand_ins, *effects)
     kinds = (*KINDS, JointFit, RefinedMotion, OutsideCauses, OutsideCause, EffectEvidence, Displacement)
     store = StageStore(folder, ValueStore(kinds, acting), times)
     pipeline = Pipeline(store, progress)
@@ -170,19 +178,22 @@ def diagnose_session(
         stages = replace(stages, model=model)
         effects, moving = (*effects, Contact()), [*moving, Contact()]
     outside = pipeline.run(
-        outside_stage(clips, together, settings.stiffness, moving, 0.55, made_from, workers, model.own),
+        outside_stage(
+            clips, together, settings.stiffness, [*moving, *stand_ins], 0.55, made_from, workers, model.own
+        ),
         motion,
     )
     progress("what every effect would change", 0.62)
     # What acts in the base model is among what is linearised, candidate or not.
     candidates = {effect.NAME for effect in moving}
-    considered = [*moving, *(e for e in model.fitting.usual_in(base) if e.NAME not in candidates)]
+    acting_already = [e for e in model.fitting.usual_in(base) if e.NAME not in candidates]
+    considered = [*moving, *stand_ins, *acting_already]
     systems = model.fitting.systems(considered, base, workers)
     quadratic = model.fitting.quadratic(considered, base, systems)
     fits = model.fitting.linearised(considered, base, quadratic)
     fits |= {name: usual for name in usual.names if name in candidates}
     errors = model.errors(base)
-    chosen = promising(base, fits, moving, errors, together.fitted, plain, usual.names)
+    chosen = promising(base, fits, [*moving, *stand_ins], errors, together.fitted, plain, usual.names)
     # What leads from outside is predicted as well, whatever its fit under a law says.
     leads = outside.leading(weights.outside_threshold)
     chosen += [e for e in moving if leads == e.NAME and e not in chosen]
@@ -199,9 +210,10 @@ def diagnose_session(
     displacements = {
         name: displacement(fitting.clips, fitting.start, fit, model.width)
         for name, fit in fits.items()
-        if name not in outside.causes or name in PUSHING
+        if name not in outside.causes or name in (*PUSHING, *STAND_INS)
     }
     sizes = {name: one.last for name, one in displacements.items()}
+    sizes |= stand_in_sizes(sizes, outside)
     every = {name: sizes.pop(name) for name in usual.names if name in sizes}
     displacements = {name: one.displacement for name, one in outside.causes.items()} | displacements
     evidence = session_evidence(
@@ -262,7 +274,10 @@ def diagnose_session(
         workers,
     )
     progress("answer", 0.99)
-    found = _Found(clips, model, base, fits, evidence, weights, alias, left_out, gains, displacements, second)
+    unnamed = _stand_ins(stand_ins, model, fits, outside, evidence, weights)
+    found = _Found(
+        clips, model, base, fits, evidence, weights, alias, left_out, gains, displacements, second, unnamed
+    )
     report = _report(found, effects, settings, together, calibration, session, folder)
     return replace(report, warnings=tuple(remarkable))
 
@@ -272,6 +287,42 @@ def _said(warnings: list[str]) -> list[str]:
     for warning in warnings:
         _log.warning("%s", warning)
     return warnings
+
+
+def _stand_ins(
+    effects: Sequence[SteadyForces | RestLengthDrift],
+    model: SessionModel,
+    fits: Mapping[str, JointFit],
+    outside: OutsideCauses,
+    evidence: SessionEvidence,
+    weights: SessionWeights,
+) -> dict[str, StandIn]:
+    """What stands in for causes that the catalogue lacks, the most probable first."""
+    motion, around = evidence.motion, model.fitting.clips[0].around
+    odds = motion.odds(weights)
+    names = [effect.NAME for effect in effects if effect.NAME in odds]
+    shares = softmax([odds[name] for name in names]) if names else []
+    found = {}
+    for name, share in sorted(zip(names, shares, strict=True), key=lambda pair: -pair[1]):
+        (effect,) = [one for one in effects if name == one.NAME]
+        mean, size = fits[name].own, motion.sizes[name]
+        if name in outside.causes and motion.outside[name].nats() > motion.nats(name):
+            mean = outside.causes[name].coefficients
+        acting = effect.with_values(effect.scales * torch.from_numpy(mean[: len(effect.scales)].copy()))
+        chance = float(share) * evidence.chances[UNKNOWN]
+        found[name] = StandIn(chance, size, acting.described(around))
+    return found
+
+
+def stand_in_sizes(sizes: Mapping[str, float], outside: OutsideCauses) -> dict[str, float]:
+    """How far stand-ins move the cloth: under the law or beside free forces, whichever is farther [widths].
+
+    Args:
+        sizes: under the law, by name.
+        outside: beside free forces.
+    """
+    both = [name for name in STAND_INS if name in sizes and name in outside.causes]
+    return {name: max(sizes[name], outside.causes[name].displacement.last) for name in both}
 
 
 def learned_chances(clips: Sequence[SeenClip], motion: RefinedMotion) -> dict[str, float] | None:
@@ -384,6 +435,7 @@ def _report(
             "" if second is None else second.first,
             "" if second is None else second.name,
             _obstacles(found, session) if Contact.NAME in (*verdict.candidates, verdict.also) else {},
+            found.stand_ins if UNKNOWN in verdict.candidates else {},
         ),
     )
 

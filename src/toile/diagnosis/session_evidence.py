@@ -17,12 +17,15 @@ from toile.diagnosis.model_errors import ModelErrors
 from toile.diagnosis.outside_causes import OutsideCause
 from toile.diagnosis.session_weights import MotionEvidence, SessionWeights
 from toile.effects.base import Effect, Scope
-from toile.effects.catalogue import PUSHING
+from toile.effects.catalogue import PUSHING, STAND_INS
 
 Array = NDArray[np.float64]
 
 _SHOWN = 2.0
 """Gain of usual effects from which on the base model has them [nats]."""
+
+_NEAR = 30.0
+"""Evidence in the linearised model by which a stand-in may be behind and is fitted all the same [nats]."""
 
 _WORTH = 1.0
 """Evidence in the linearised model from which on an effect is fitted [nats]: fits of less gain no more."""
@@ -67,7 +70,8 @@ def session_evidence(
 
     Args:
         base: the base model.
-        fits: of effects that move the cloth, by name; of its own ones the base model's itself.
+        fits: of effects that move the cloth and of stand-ins, by name; of its own ones the base model's
+            itself.
         effects: all candidates.
         of_images: findings of every clip without a model of the motion, by name.
         errors: of the base model.
@@ -86,7 +90,7 @@ def session_evidence(
         sizes={**{name: cause.displacement.last for name, cause in outside.items()}, **(sizes or {})},
         outside={name: cause.evidence for name, cause in outside.items()},
     )
-    drops = {name: one.drop for name, one in motion.effects.items()}
+    drops = {name: one.drop for name, one in motion.effects.items() if name not in STAND_INS}
     left = motion.over_usual
     scale = motion.scale
     findings = {
@@ -99,6 +103,8 @@ def session_evidence(
             score = calibration.score(name, found.log_evidence)
             logits[name] = none + (score - calibration.threshold) / calibration.temperature
     for name, fit in fits.items():
+        if name in STAND_INS:
+            continue
         n = len(by_name[name].scales)
         covariance = scale * fit.own_covariance[:n, :n]
         findings[name] = finding(by_name[name], motion.nats(name), fit.own[:n], covariance)
@@ -109,7 +115,8 @@ def session_evidence(
             together = weights.outside_spread**2 * np.outer(mean, mean)
             covariance = cause.covariance[:n, :n] + together
             findings[name] = finding(by_name[name], cause.evidence.nats(), mean, covariance)
-    logits[UNKNOWN] = none + float(weights.strangeness * np.log(left / weights.strange))
+    strange = none + float(weights.strangeness * np.log(left / weights.strange))
+    logits[UNKNOWN] = float(np.logaddexp(strange, logits.get(UNKNOWN, -np.inf)))
     return SessionEvidence(findings, drops, _chances(logits), left, scale, motion)
 
 
@@ -134,18 +141,23 @@ def promising(
 ) -> list[Effect]:
     """Effects with most evidence, those that the base model may have aside: their fit is there.
 
+    Stand-ins that are not far behind the best of them come beside.
+
     Args:
         base: the base model.
         fits: of every effect, or what the linearised model says of it.
-        effects: that move the cloth.
+        effects: that move the cloth, and stand-ins.
         errors: of the base model.
-        most: effects at most.
+        most: effects at most, stand-ins aside.
         plain: see session_evidence.
         fitted: effects that have been fitted.
     """
     evidence = _of_motion(base, fits, errors, None, {}, plain)
     nats = {name: evidence.nats(name) for name in fits if name not in fitted}
-    ranked = [name for name in sorted(nats, key=lambda name: -nats[name])[:most] if nats[name] > _WORTH]
+    names = sorted((name for name in nats if name not in STAND_INS), key=lambda name: -nats[name])
+    ranked = [name for name in names[:most] if nats[name] > _WORTH]
+    near = max([_WORTH, *(nats[name] - _NEAR for name in ranked)])
+    ranked += [name for name in nats if name in STAND_INS and nats[name] > near]
     return [effect for effect in effects if effect.NAME in ranked]
 
 

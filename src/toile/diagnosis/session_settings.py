@@ -17,6 +17,9 @@ from toile.physics.grid_laws import GridLaw, taut_fitted
 Usual = Annotated[tuple[Literal["internal_damping"], ...], Field(max_length=1)]
 """Effects that a base model may have."""
 
+StandIns = tuple[Literal["steady_forces", "rest_length_drift"], ...]
+"""Names of effects.catalogue.STAND_INS."""
+
 
 @dataclass(frozen=True)
 class RefiningSettings:
@@ -86,6 +89,7 @@ class SessionSettings:
         error_rounds: fits of the base model in which that share is found; 0 leaves it as it is.
         touched: how obstacles that nobody knows of are looked for; None: they are not, and ``contact`` is a
             candidate only where it was given with its obstacle.
+        stand_ins: hypotheses for what the catalogue lacks; what speaks for them speaks for ``unknown``.
         usual: effects that the base model has: what no cloth and no solver is without. One of them is a cause
             where it is stronger than is usual.
         fit: see JointFitSettings.
@@ -117,6 +121,7 @@ class SessionSettings:
     model_error: ModelError = field(default_factory=ModelError)
     error_rounds: CountOrZero = 3
     touched: TouchedSettings | None = None
+    stand_ins: StandIns = ("steady_forces", "rest_length_drift")
     usual: Usual = ("internal_damping",)
     fit: JointFitSettings = field(default_factory=JointFitSettings)
     freed: FreedSettings = field(default_factory=FreedSettings)

@@ -20,10 +20,10 @@ from scipy.optimize import minimize
 from scipy.special import log_ndtr, softmax
 
 from toile.atomic_file import write_text
-from toile.diagnosis.decision import NONE
+from toile.diagnosis.decision import NONE, UNKNOWN
 from toile.diagnosis.effect_evidence import EffectEvidence
 from toile.diagnosis.model_errors import ModelErrors
-from toile.effects.catalogue import PUSHING, WEIGHING
+from toile.effects.catalogue import PUSHING, STAND_INS, WEIGHING
 from toile.errors import InputError
 from toile.json_file import read_json_object
 
@@ -77,6 +77,8 @@ class SessionWeights:
         outside_temperature: evidence by which its odds grow e-fold [nats].
         rivals: evidence under the law by which the odds of one cause from outside against another grow e-fold
             [nats].
+        stand_in: evidence that a stand-in needs beyond what an effect does, for it is so flexible that it
+            takes up some of what a law or another cause leaves [nats].
         outside_spread: deviation of the strength of a cause from outside, as a share of it, beside what its
             fit says and before intervals are widened (DiagnosisSettings.widened).
         strange: squared errors that the best hypothesis leaves, over those of USUAL_SHARE, where something
@@ -95,6 +97,7 @@ class SessionWeights:
     outside_threshold: float = 15.0
     outside_temperature: float = 4.0
     rivals: float = 16.0
+    stand_in: float = 30.0
     outside_spread: float = 0.14
     strange: float = 4.0
     strangeness: float = 4.0
@@ -143,6 +146,7 @@ class SessionWeights:
             threshold=of_law * self.threshold,
             temperature=of_law * self.temperature,
             rivals=of_law * self.rivals,
+            stand_in=of_law * self.stand_in,
             outside_threshold=freed * self.outside_threshold,
             outside_temperature=freed * self.outside_temperature,
         )
@@ -158,7 +162,7 @@ class MotionEvidence:
 
     Attributes:
         base: smooth errors of the base model.
-        effects: what the fit of every effect says.
+        effects: what the fit of every effect says, stand-ins among them.
         learned: probabilities of the learned decision by label, None where there is none.
         usual: effects that every cloth has, with the distance by which they move this one, see
             effect_size.moved; what is said of them is against a model without.
@@ -215,7 +219,8 @@ class MotionEvidence:
     @property
     def left(self) -> float:
         """Squared errors of the best hypothesis over those that were expected of it."""
-        most = max((e.drop for name, e in self.effects.items() if name not in self.usual), default=0.0)
+        rivals = (e.drop for name, e in self.effects.items() if name not in (*self.usual, *STAND_INS))
+        most = max(rivals, default=0.0)
         # A drop is of ties and priors as well, so it may be more than all errors.
         return max((self.base.cost - most) / self.base.expected, _LEAST)
 
@@ -237,14 +242,22 @@ class MotionEvidence:
         return max(1.0, self.left)
 
     def logits(self, weights: SessionWeights) -> dict[str, float]:
-        """Log odds of every effect and of none of them, up to a common constant.
+        """Log odds of every effect, of none and of UNKNOWN by its stand-ins, up to a common constant."""
+        odds = self.odds(weights)
+        stand_ins = [odds.pop(name) for name in STAND_INS if name in odds]
+        if stand_ins:
+            odds[UNKNOWN] = float(np.logaddexp.reduce(stand_ins))
+        return odds
+
+    def odds(self, weights: SessionWeights) -> dict[str, float]:
+        """Log odds of every effect, every stand-in and of none of them, up to a common constant.
 
         Evidence within the cloth is as wrong as the law is, and by how much that is differs between cloths
         more than few of them can teach. So threshold and temperature are averaged over (``law_spread``):
         what is a little above a threshold is no certainty, however steep the odds of those that taught.
         """
         if not weights.law_spread:
-            return self._logits(weights)
+            return self._odds(weights)
         each = []
         for at, share in zip(_AT, _SHARES, strict=True):
             wrong = float(np.exp(weights.law_spread * at))
@@ -253,13 +266,14 @@ class MotionEvidence:
                 threshold=wrong * weights.threshold,
                 temperature=wrong * weights.temperature,
                 rivals=wrong * weights.rivals,
+                stand_in=wrong * weights.stand_in,
             )
-            found = self._logits(of_law)
+            found = self._odds(of_law)
             values = np.array(list(found.values()))
             each.append(np.log(share) + values - np.logaddexp.reduce(values))
         return dict(zip(found, map(float, np.logaddexp.reduce(each)), strict=True))
 
-    def _logits(self, weights: SessionWeights) -> dict[str, float]:
+    def _odds(self, weights: SessionWeights) -> dict[str, float]:
         """The same of a law whose errors are known.
 
         None is an interval and no point: an effect of the size that a model on a grid is usually wrong by is
@@ -277,18 +291,20 @@ class MotionEvidence:
         far as the clips show it with the forces within the cloth free; the rest is none.
 
         Contact is either: a push in a place and for a moment may show under a law alone, and where it shows
-        in the balance, it is a rival of whatever pushes from outside.
+        in the balance, it is a rival of whatever pushes from outside. So are stand-ins for what the catalogue
+        lacks.
         """
         both = {name for name in WEIGHING if name in self.outside and name in self.effects}
-        either = {name for name in PUSHING if name in self.outside and name in self.effects}
+        either = {n for n in (*PUSHING, *STAND_INS) if n in self.outside and n in self.effects}
         within = [name for name in self.effects if name not in self.outside or name in both | either]
         odds = {
-            name: (self.nats(name) - weights.threshold) / weights.temperature
+            name: (self._of_law(name, weights) - weights.threshold) / weights.temperature
             + weights.learned * _log_odds(self.learned, name, self.effects)
             for name in within
         }
         freed = {
-            name: (_nats(evidence, 1.0) - weights.outside_threshold) / weights.outside_temperature
+            name: (_nats(evidence, 1.0) - weights.outside_threshold - _handicap(name, weights))
+            / weights.outside_temperature
             for name, evidence in self.outside.items()
         }
         freed |= self._apart({n: v for n, v in freed.items() if n not in both}, weights)
@@ -315,9 +331,15 @@ class MotionEvidence:
             odds[name] = float(np.logaddexp(odds[name], of_balance) if name in either else of_balance)
         return odds
 
+    def _of_law(self, name: str, weights: SessionWeights) -> float:
+        """Log evidence under the law, less what a stand-in needs beyond."""
+        return self.nats(name) - _handicap(name, weights)
+
     def _apart(self, freed: Mapping[str, float], weights: SessionWeights) -> dict[str, float]:
         """Log odds of causes from outside, with what a law says of them among themselves; their sum stays."""
-        of_law = {name: self.nats(name) / weights.rivals for name in freed if name in self.effects}
+        of_law = {
+            name: self._of_law(name, weights) / weights.rivals for name in freed if name in self.effects
+        }
         if len(of_law) < 2:
             return dict(freed)
         best = max(of_law.values())
@@ -388,7 +410,7 @@ def learnt_weights(
 
 
 def chances(evidence: MotionEvidence, weights: SessionWeights) -> dict[str, float]:
-    """Probabilities of effects that move the cloth and of none of them."""
+    """Probabilities of effects that move the cloth, of none of them, and of UNKNOWN by its stand-ins."""
     logits = evidence.logits(weights)
     return dict(zip(logits, map(float, softmax(list(logits.values()))), strict=True))
 
@@ -408,6 +430,11 @@ def left_out_chances(cases: Sequence[SessionCase]) -> list[dict[str, float]]:
     for session in dict.fromkeys(case.session for case in cases):
         found[session] = learnt_weights([case for case in cases if case.session != session])
     return [case.chances(found[case.session]) for case in cases]
+
+
+def _handicap(name: str, weights: SessionWeights) -> float:
+    """Evidence that a hypothesis needs beyond what an effect does [nats]."""
+    return weights.stand_in if name in STAND_INS else 0.0
 
 
 def _beyond(size: float, least: float, weights: SessionWeights) -> float:

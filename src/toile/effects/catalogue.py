@@ -22,7 +22,9 @@ from toile.effects.motion_blur import MotionBlur
 from toile.effects.nonuniform_density import NonuniformDensity
 from toile.effects.nonuniform_stiffness import NonuniformStiffness
 from toile.effects.rest_curvature import RestCurvature
+from toile.effects.rest_length_drift import RestLengthDrift
 from toile.effects.shading import Shading
+from toile.effects.steady_forces import SteadyForces
 from toile.effects.strain_stiffening import StrainStiffening
 from toile.errors import InputError
 
@@ -64,6 +66,12 @@ WEIGHING = ("nonuniform_density",)
 
 PUSHING = ("contact",)
 """Those of them whose push, in a place and for a moment, may hardly show in that balance."""
+
+STAND_INS: Mapping[str, type[SteadyForces | RestLengthDrift]] = MappingProxyType(
+    {effect.NAME: effect for effect in (SteadyForces, RestLengthDrift)}
+)
+"""What stands in for causes that the catalogue lacks: it names none, so what speaks for it speaks for
+``unknown``. Not in the catalogue."""
 
 MOVING = (Stage.MECHANICS, Stage.ACTUATION)
 """Stages whose effects move the cloth."""

@@ -151,7 +151,13 @@ class LinearizableSimulator(Simulator):
         d = torch.tensor(formula.velocity, dtype=history.dtype)
         velocities = (d[None, :, None, None] * new_history[:, : len(d)]).sum(1) / self._exact_step
         return StepResult(
-            state=State(positions, velocities, new_history[:, 1:], state.steps + 1),
+            state=replace(
+                state,
+                positions=positions,
+                velocities=velocities,
+                past=new_history[:, 1:],
+                steps=state.steps + 1,
+            ),
             status=tuple(s.status for s in solutions),
             iterations=tuple(s.iterations for s in solutions),
             residual=tuple(s.residual for s in solutions),
@@ -196,7 +202,8 @@ class LinearizableSimulator(Simulator):
                 material=material.scene(b),
                 positions=state.positions[b],
                 velocities=state.velocities[b],
-                time=(state.steps + 1) * self.time_step,
+                time=(0.0 if state.began is None else float(state.began[b]))
+                + (state.steps + 1) * self.time_step,
                 time_step=self._exact_step,
                 boundary=boundary[b],
             )

@@ -17,16 +17,24 @@ class State:
         velocities: v_n, (B, N, 3) [m/s].
         past: x_{n-1}, x_{n-2}, ... at the same time step, (B, K, N, 3) [m]; multistep methods read it.
         steps: steps taken since ``start``; multistep methods begin with formulas of their own.
+        began: when the first of them began, since frame 0 (B,) [s]; None for 0.
     """
 
     positions: Tensor
     velocities: Tensor
     past: Tensor
     steps: int
+    began: Tensor | None = None
 
     @staticmethod
-    def start(positions: Tensor, velocities: Tensor, time_step: float, n_past: int) -> State:
+    def start(
+        positions: Tensor,
+        velocities: Tensor,
+        time_step: float,
+        n_past: int,
+        began: Tensor | None = None,
+    ) -> State:
         """State whose past is the straight line through positions at the given velocities."""
         steps = torch.arange(1, n_past + 1, dtype=positions.dtype, device=positions.device)
         past = positions[:, None] - steps[None, :, None, None] * time_step * velocities[:, None]
-        return State(positions, velocities, past, steps=0)
+        return State(positions, velocities, past, 0, began)

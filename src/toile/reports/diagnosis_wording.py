@@ -22,6 +22,8 @@ _SPOKEN = {
 """Names that would not read well in a sentence."""
 _NAMED = 3
 """Candidates that a headline names."""
+_LIKELY = 0.1
+"""Probability from which on the page says what an unknown cause looks like."""
 _DIFFERENCES = 3
 """Settings that a caveat names."""
 STAGES = {
@@ -164,6 +166,29 @@ def obstacles(report: GapReport) -> list[str]:
     return [
         f"In {clip} the cloth may touch {_obstacle(at)}, in the camera's frame." for clip, at in found.items()
     ]
+
+
+_LOOKS = {
+    "steady_forces": "a field of forces that does not change",
+    "rest_length_drift": "sides that become longer or shorter while they are filmed",
+}
+
+
+def stand_ins(report: GapReport) -> list[str]:
+    """What a cause that the catalogue lacks looks like, one sentence for each that is likely enough."""
+    found = {} if report.session is None else report.session.stand_ins
+    return [
+        f"What the catalogue lacks may look like {_LOOKS[name]} ({percent(one.probability)}): "
+        f"{', '.join(_measure(what, value) for what, value in one.found.items())}; it moves the cloth by "
+        f"{100 * one.moves:.1f} % of its width."
+        for name, one in found.items()
+        if one.probability >= _LIKELY
+    ]
+
+
+def _measure(what: str, value: float) -> str:
+    name, unit = what.rstrip("]").split(" [")
+    return f"{name} {value:+.2g} {unit}" if unit == "%" else f"{name} {value:.2g} {unit}"
 
 
 def _obstacle(at: Mapping[str, Sequence[float]]) -> str:

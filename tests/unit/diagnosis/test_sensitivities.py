@@ -16,7 +16,7 @@ from toile.diagnosis.sensitivities import (
     TangentSettings,
 )
 from toile.effects.base import Effect, Surroundings
-from toile.effects.catalogue import CATALOGUE
+from toile.effects.catalogue import CATALOGUE, STAND_INS
 from toile.effects.setting import setting
 from toile.physics.cloth import grid_cloth, grid_material
 from toile.physics.implicit.integrators import BDF2
@@ -32,6 +32,10 @@ N_FRAMES = 9
 STIFFNESS = np.array([400.0, 1e-3, 2e-5])
 GRAVITY = torch.tensor([0.0, 9.81, 0.0], dtype=torch.float64)
 WIND = torch.tensor([1.0, 0.0, 4.0], dtype=torch.float64)
+
+
+EFFECTS = {**CATALOGUE, **STAND_INS}
+THROUGH_FORCES = [n for n, e in EFFECTS.items() if issubclass(e, FORCES) and n != "contact"]
 
 
 def surroundings() -> Surroundings:
@@ -102,13 +106,11 @@ def effect_tangents(
     return np.moveaxis(found, -1, 0).reshape(n, *motion[1:].shape)
 
 
-@pytest.mark.parametrize(
-    "name", [n for n, e in CATALOGUE.items() if issubclass(e, FORCES) and n != "contact"]
-)
+@pytest.mark.parametrize("name", THROUGH_FORCES)
 def test_tangents_are_the_derivatives_of_the_simulation(name: str) -> None:
     """To first order: what effects do to later velocities through themselves is of second order here."""
     around = surroundings()
-    effect = CATALOGUE[name]()
+    effect = EFFECTS[name]()
     plain = simulate((), around)
     simulator = ImplicitSimulator(around.cloth, STEP, BDF2(), NewtonSettings(1e-10))
     tangents = effect_tangents(effect, simulator, plain, around)
@@ -133,13 +135,11 @@ def test_the_required_force_is_the_one_that_acted() -> None:
         np.testing.assert_allclose(motion.required(motion.step(n)), acted, atol=1e-8)
 
 
-@pytest.mark.parametrize(
-    "name", [n for n, e in CATALOGUE.items() if issubclass(e, FORCES) and n != "contact"]
-)
+@pytest.mark.parametrize("name", THROUGH_FORCES)
 def test_tangents_hold_where_an_effect_is_strong(name: str) -> None:
     """What damping, drag and changed stiffness do to later motion is in the tangents, not in the forces."""
     around = surroundings()
-    plain_effect = CATALOGUE[name]()
+    plain_effect = EFFECTS[name]()
     numbers = 0.8 * plain_effect.scales
     effect = plain_effect.with_values(numbers)
     motion = simulate((effect,), around)

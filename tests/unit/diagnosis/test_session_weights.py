@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from toile.diagnosis.decision import NONE
+from toile.diagnosis.decision import NONE, UNKNOWN
 from toile.diagnosis.effect_evidence import EffectEvidence
 from toile.diagnosis.model_errors import ModelErrors
 from toile.diagnosis.session_weights import (
@@ -183,6 +183,33 @@ def test_contact_may_show_under_a_law_alone() -> None:
     # And what the balance does know stands against a law that takes it for contact.
     drag = touching(60.0, 20.0, (150.0, 90.0))
     assert drag["air_drag"] > 0.95
+
+
+def unnamed(law: float, freed: float, drag: float) -> dict[str, float]:
+    """Probabilities where a stand-in has so much under a law and beside free forces, drag in both [nats]."""
+    of = {nats: evidence((nats, 2.0, 2.0)).effects["air_drag"] for nats in (law, freed, drag)}
+    one = evidence((drag, 2.0, 2.0))
+    return chances(
+        replace(
+            one,
+            effects={**one.effects, "steady_forces": of[law]},
+            outside={"air_drag": of[drag], "steady_forces": of[freed]},
+        ),
+        SessionWeights(),
+    )
+
+
+def test_what_a_stand_in_explains_better_is_unknown() -> None:
+    assert unnamed(200.0, 4.0, 6.0)[UNKNOWN] > 0.9
+    # Where forces within the cloth are free, against a cause that shows there.
+    assert unnamed(4.0, 300.0, 60.0)[UNKNOWN] > 0.95
+
+
+def test_a_stand_in_must_explain_more_than_an_effect() -> None:
+    """It is flexible, so it takes up most of what any effect does."""
+    level = unnamed(120.0, 120.0, 110.0)
+    assert level["air_drag"] > 0.95
+    assert unnamed(20.0, 4.0, 6.0)[NONE] > 0.9
 
 
 def test_what_the_base_model_explains_is_not_left_for_others() -> None:

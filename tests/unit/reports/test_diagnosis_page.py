@@ -24,6 +24,7 @@ from toile.diagnosis.record import (
     GapReport,
     SessionAnswer,
     Shrink,
+    StandIn,
     Verdict,
     Where,
 )
@@ -147,6 +148,20 @@ def test_what_may_be_touched_is_said_with_its_place(report: GapReport) -> None:
     assert "In a the cloth may touch something round, 0.14 m in radius, about (0.10, 0.20, 1.00) m" in text
     without = dataclasses.replace(session, obstacles={})
     assert "touch" not in words(header(dataclasses.replace(answered(report, verdict), session=without)))
+
+
+def test_what_is_unknown_is_said_to_look_like_something(report: GapReport) -> None:
+    looks = {
+        "rest_length_drift": StandIn(0.91, 0.064, {"axis 0 [%]": -5.8, "axis 1 [%]": 0.3}),
+        "steady_forces": StandIn(0.02, 0.03, {"root mean square [m/s²]": 0.4}),
+    }
+    session = SessionAnswer(("a",), (5,), {}, (), {}, 1.0, stand_ins=looks)
+    verdict = Verdict(UNKNOWN, (UNKNOWN,), UNKNOWN, 0.93, "Because.", "")
+    text = words(header(dataclasses.replace(answered(report, verdict), session=session)))
+    assert "may look like sides that become longer or shorter while they are filmed (91 %)" in text
+    assert "axis 0 -5.8 %, axis 1 +0.3 %; it moves the cloth by 6.4 % of its width." in text
+    # What is hardly likely is not said.
+    assert "does not change" not in text
 
 
 def test_no_gap_and_unknown_causes(report: GapReport) -> None:
