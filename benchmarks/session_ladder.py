@@ -54,7 +54,7 @@ from toile.diagnosis.stage_store import StageStore
 from toile.diagnosis.stage_times import StageTimes
 from toile.diagnosis.stored_values import ValueStore
 from toile.effects.base import Effect
-from toile.effects.catalogue import PUSHING, STAND_INS
+from toile.effects.catalogue import CATALOGUE, PUSHING, STAND_INS
 from toile.effects.contact import Contact
 from toile.generation.clip_plan import DEFAULT_CLIPS, ClipPlan
 from toile.generation.out_of_family.base_scene import OutOfFamilySettings
@@ -336,8 +336,8 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
     for (rung, session), every in table.groupby(["rung", "session"], sort=False):
         truth = cause_of(str(session))
         usual = every["usual"] == every["effect"]
-        # What the base model has of itself is no rival.
-        own = every[~usual | (every["effect"] == truth)]
+        # What the base model has of itself is no rival, and a stand-in names nothing.
+        own = every[(~usual & ~every["effect"].isin(STAND_INS)) | (every["effect"] == truth)]
         best = own.sort_values("nats", ascending=False).iloc[0]
         of_truth = own.loc[own["effect"] == truth, "nats"]
         rivals = own.loc[own["effect"] != truth, "nats"].max()
@@ -364,9 +364,11 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _of_truth(rows: pd.DataFrame, truth: str) -> float:
-    """Probability of the cause, or of none where there is none; NaN where it was not kept."""
+    """Probability of the cause, or of none or unknown where that is right; NaN where it was not kept."""
     if truth == NONE:
         return _first(rows, "probability of none")
+    if truth not in CATALOGUE:
+        return _first(rows, "probability of unknown")
     return _first(rows[rows["effect"] == truth], "probability")
 
 
@@ -440,7 +442,8 @@ def page(table: pd.DataFrame) -> str:
         "",
     ]
     sessions = summary(table)
-    moved = sessions.loc[~sessions["truth"].isin((*WITHOUT_TRACE, "none"))]
+    moved = sessions.loc[sessions["truth"].isin(tuple(CATALOGUE)) & ~sessions["truth"].isin(WITHOUT_TRACE)]
+    lacking = sessions.loc[~sessions["truth"].isin((*CATALOGUE, "none"))]
     still = sessions.loc[sessions["truth"] == "none"]
     counts = pd.DataFrame(
         {
@@ -462,6 +465,8 @@ def page(table: pd.DataFrame) -> str:
             "best placebo, median [%]": moved.groupby("rung", sort=False)["best placebo [%]"].median(),
             "nulls": still.groupby("rung", sort=False).size(),
             "largest gain of a null [nats]": still.groupby("rung", sort=False)["its gain [nats]"].max(),
+            "nulls answered none (0.5)": _share(still, "its probability", 0.5),
+            "outside the catalogue, unknown (0.9)": _share(lacking, "its probability", 0.9),
         }
     )
     of_nats = [name for name in counts if "median" in name or "nats" in name]

@@ -79,6 +79,9 @@ class SessionWeights:
             [nats].
         stand_in: evidence that a stand-in needs beyond what an effect does, for it is so flexible that it
             takes up some of what a law or another cause leaves [nats].
+        searched: evidence that contact needs beyond, where its obstacle is the best of many that were tried:
+            it takes up some of what the law is wrong by [nats].
+        outside_stand_in: that of a stand-in where the forces within the cloth are free [nats].
         outside_spread: deviation of the strength of a cause from outside, as a share of it, beside what its
             fit says and before intervals are widened (DiagnosisSettings.widened).
         strange: squared errors that the best hypothesis leaves, over those of USUAL_SHARE, where something
@@ -98,6 +101,8 @@ class SessionWeights:
     outside_temperature: float = 4.0
     rivals: float = 16.0
     stand_in: float = 30.0
+    searched: float = 0.0
+    outside_stand_in: float = 0.0
     outside_spread: float = 0.14
     strange: float = 4.0
     strangeness: float = 4.0
@@ -147,7 +152,9 @@ class SessionWeights:
             temperature=of_law * self.temperature,
             rivals=of_law * self.rivals,
             stand_in=of_law * self.stand_in,
+            searched=of_law * self.searched,
             outside_threshold=freed * self.outside_threshold,
+            outside_stand_in=freed * self.outside_stand_in,
             outside_temperature=freed * self.outside_temperature,
         )
 
@@ -267,6 +274,7 @@ class MotionEvidence:
                 temperature=wrong * weights.temperature,
                 rivals=wrong * weights.rivals,
                 stand_in=wrong * weights.stand_in,
+                searched=wrong * weights.searched,
             )
             found = self._odds(of_law)
             values = np.array(list(found.values()))
@@ -303,10 +311,12 @@ class MotionEvidence:
             for name in within
         }
         freed = {
-            name: (_nats(evidence, 1.0) - weights.outside_threshold - _handicap(name, weights))
-            / weights.outside_temperature
+            name: (_nats(evidence, 1.0) - weights.outside_threshold) / weights.outside_temperature
             for name, evidence in self.outside.items()
         }
+        for name in freed:
+            if name in STAND_INS:
+                freed[name] -= weights.outside_stand_in / weights.outside_temperature
         freed |= self._apart({n: v for n, v in freed.items() if n not in both}, weights)
         none = [0.0, *(odds[name] - float(np.logaddexp(0.0, freed[name])) for name in sorted(both))]
         odds |= {name: odds[name] - float(np.logaddexp(0.0, -freed[name])) for name in both}
@@ -332,8 +342,9 @@ class MotionEvidence:
         return odds
 
     def _of_law(self, name: str, weights: SessionWeights) -> float:
-        """Log evidence under the law, less what a stand-in needs beyond."""
-        return self.nats(name) - _handicap(name, weights)
+        """Log evidence under the law, less what a stand-in or a searched obstacle needs beyond."""
+        beyond = weights.stand_in if name in STAND_INS else weights.searched if name in PUSHING else 0.0
+        return self.nats(name) - beyond
 
     def _apart(self, freed: Mapping[str, float], weights: SessionWeights) -> dict[str, float]:
         """Log odds of causes from outside, with what a law says of them among themselves; their sum stays."""
@@ -430,11 +441,6 @@ def left_out_chances(cases: Sequence[SessionCase]) -> list[dict[str, float]]:
     for session in dict.fromkeys(case.session for case in cases):
         found[session] = learnt_weights([case for case in cases if case.session != session])
     return [case.chances(found[case.session]) for case in cases]
-
-
-def _handicap(name: str, weights: SessionWeights) -> float:
-    """Evidence that a hypothesis needs beyond what an effect does [nats]."""
-    return weights.stand_in if name in STAND_INS else 0.0
 
 
 def _beyond(size: float, least: float, weights: SessionWeights) -> float:

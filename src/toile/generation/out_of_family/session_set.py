@@ -68,6 +68,19 @@ def sessions_composition() -> SessionComposition:
     return SessionComposition(20, tuple(singles), 3, 2, tuple(outside), ("toile", "blender", "mujoco"))
 
 
+def outside_sessions_composition() -> SessionComposition:
+    """Twelve sessions that ask what is made of causes that the catalogue lacks.
+
+    Four that move the cloth by 7 %, the four of the catalogue that are nearest to them, of 3 %, and four
+    nulls.
+    """
+    moving = [name for name in OUTSIDE if name != "unmasked_occluder"]
+    near = ("gusts", "rest_curvature", "air_drag", "nonuniform_density")
+    singles = tuple((name, _MEDIUM) for name in near)
+    outside = tuple((name, _LARGE) for name in moving)
+    return SessionComposition(4, singles, 0, 0, outside, ("toile", "blender", "mujoco"))
+
+
 def tiny_sessions_composition() -> SessionComposition:
     """Three sessions: none, one of the catalogue, one from outside."""
     return SessionComposition(1, (("gusts", _LARGE),), 0, 0, (("vortex_field", _LARGE),))

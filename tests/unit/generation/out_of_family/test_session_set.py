@@ -12,6 +12,7 @@ from toile.generation.out_of_family.session_set import (
     MOVING,
     PlannedSession,
     Sized,
+    outside_sessions_composition,
     plan_sessions,
     sessions_composition,
     tiny_sessions_composition,
@@ -32,6 +33,11 @@ def test_the_composition() -> None:
     assert set(sizes) == set(SIZES)
     assert sizes[1.0] == sizes[7.0] == 6
     assert tiny_sessions_composition().size == 3
+    asked = outside_sessions_composition()
+    assert asked.size == 12
+    assert asked.nulls == 4
+    assert {name for name, _ in asked.singles} < set(MOVING)
+    assert {name for name, _ in asked.outside} == set(OUTSIDE) - {"unmasked_occluder"}
 
 
 def planned(can_make=lambda generator, effects: True) -> tuple[PlannedSession, ...]:
