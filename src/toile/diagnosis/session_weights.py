@@ -46,9 +46,6 @@ _CAUSES = 10.0
 _LAPSE = 0.02
 """Share of cases that teach nothing, because what acts is too small to be seen or a fit has failed."""
 
-_FARTHEST = 5.0
-"""E-folds at most by which the law tells causes from outside apart: a fit may have failed."""
-
 _AT, _SHARES = hermegauss(7)
 """Places, and shares up to a common factor, at which a normal distribution is averaged over."""
 
@@ -77,6 +74,7 @@ class SessionWeights:
         outside_temperature: evidence by which its odds grow e-fold [nats].
         rivals: evidence under the law by which the odds of one cause from outside against another grow e-fold
             [nats].
+        farthest: e-folds by which the law tells them apart at most: a fit may have failed.
         stand_in: evidence that a stand-in needs beyond what an effect does, for it is so flexible that it
             takes up some of what a law or another cause leaves [nats].
         searched: evidence that contact needs beyond, where its obstacle is the best of many that were tried:
@@ -100,9 +98,10 @@ class SessionWeights:
     outside_threshold: float = 15.0
     outside_temperature: float = 4.0
     rivals: float = 16.0
+    farthest: float = 5.0
     stand_in: float = 30.0
     searched: float = 0.0
-    outside_stand_in: float = 0.0
+    outside_stand_in: float = 10.0
     outside_spread: float = 0.14
     strange: float = 4.0
     strangeness: float = 4.0
@@ -354,7 +353,7 @@ class MotionEvidence:
         if len(of_law) < 2:
             return dict(freed)
         best = max(of_law.values())
-        told = {name: freed[name] + max(value - best, -_FARTHEST) for name, value in of_law.items()}
+        told = {name: freed[name] + max(value - best, -weights.farthest) for name, value in of_law.items()}
         before, after = (np.logaddexp.reduce([of[name] for name in told]) for of in (freed, told))
         return {**freed, **{name: float(value + before - after) for name, value in told.items()}}
 
