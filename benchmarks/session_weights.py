@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from session_ladder import BLENDER, OBSTACLES, REFINED, cause_of, evidence_columns
+from session_ladder import BLENDER, REFINED, cause_of, evidence_columns
 
 from toile.atomic_file import write_text
 from toile.diagnosis.decision import NONE, UNKNOWN
@@ -43,8 +43,7 @@ from toile.generation.out_of_family.catalogue import OUTSIDE
 Array = NDArray[np.float64]
 
 RESULTS = Path("docs") / "results"
-RUNGS = (OBSTACLES, REFINED, "refined")
-"""A session that has the first teaches nothing by the second: what it says is in the first."""
+RUNGS = (REFINED, "refined")
 AS_NONE = ("anchor_slip",)
 """Causes that images show; what they do beside is no effect on the motion."""
 LEFT_OUT = ("gravity_tilt",)
@@ -74,10 +73,7 @@ SPREADS = (0.0, 0.35, 0.7, 1.0, 1.4)
 def cases_of(table: pd.DataFrame) -> list[SessionCase]:
     """Evidence of every session on the rungs that a diagnosis has."""
     found = []
-    whole = set(table.loc[table["rung"] == OBSTACLES, "session"])
     for (rung, session), own in table[table["rung"].isin(RUNGS)].groupby(["rung", "session"], sort=False):
-        if rung == REFINED and session in whole:
-            continue
         cause = str(own["cause"].iloc[0]) if "cause" in own else cause_of(str(session))
         if cause in OUTSIDE and set(STAND_INS) & set(own["effect"]):
             cause = UNKNOWN
@@ -295,7 +291,7 @@ def write(cases: Mapping[str, Sequence[SessionCase]]) -> None:
         "`stand_in`: evidence under the law that a stand-in for what the catalogue lacks needs beyond what "
         "an effect does; `outside_stand_in`: the same beside free forces; `searched`: the same of contact "
         "with the best of many obstacles, under the law. Chosen together, with the least loss on the "
-        "sessions that have both (rung with obstacles), the largest of equals. A cause left out: handicaps "
+        "sessions that have both, the largest of equals. A cause left out: handicaps "
         "chosen without any session of it.",
         "",
         of_handicaps.to_markdown(index=False, floatfmt=".3f"),

@@ -369,12 +369,12 @@ def two_clips(clip: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("model", ["default", "obstacles"])
+@pytest.mark.parametrize("searched", [True, False])
 def test_clips_of_a_session_have_one_answer(
-    model: str, two_clips: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    searched: bool, two_clips: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     small = (
-        f"session_model={model}",
+        *(() if searched else ("session_model.touched=null", "session_model.stand_ins=[]")),
         "session_model.side=6",
         "session_model.modes=2",
         "session_model.window=0.16",
@@ -398,7 +398,7 @@ def test_clips_of_a_session_have_one_answer(
     assert sum(report.session.probabilities.values()) == pytest.approx(1.0)
     # A plumb line was in view.
     assert {effect.name for effect in report.effects} - {"contact"} == {"air_drag", "gusts", "shading"}
-    assert ("contact" in report.session.probabilities) == (model == "obstacles")
+    assert ("contact" in report.session.probabilities) == searched
     assert len(report.where.frames) == 24
     assert set(report.session.material) >= {"stretching", "shearing", "bending"}
     asked = report.session.expected_information

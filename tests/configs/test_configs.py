@@ -32,7 +32,6 @@ DELTAS = (
     "diagnosis=fine",
     "blind=tiny",
     "blind=sessions",
-    "session_model=obstacles",
     "capture",
     "backbone",
 )

@@ -171,6 +171,9 @@ def diagnose_session(
     usual = pipeline.run(stages.usual(0.53), motion, plain)
     base = base_of_session(plain, usual)
     weights = SessionWeights.load().of_clips(len(clips))
+    if any(effect.NAME == Contact.NAME for effect in effects):
+        # It is known what the cloth may touch.
+        weights = replace(weights, searched=0.0)
     if together.touched is not None:
         progress("what the cloth may touch", 0.54)
     model = model.with_obstacles(effects, base, workers)

@@ -120,7 +120,7 @@ class SessionSettings:
     refining: RefiningSettings = field(default_factory=RefiningSettings)
     model_error: ModelError = field(default_factory=ModelError)
     error_rounds: CountOrZero = 3
-    touched: TouchedSettings | None = None
+    touched: TouchedSettings | None = field(default_factory=TouchedSettings)
     stand_ins: StandIns = ("steady_forces", "rest_length_drift")
     usual: Usual = ("internal_damping",)
     fit: JointFitSettings = field(default_factory=JointFitSettings)
