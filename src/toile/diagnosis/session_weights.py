@@ -24,6 +24,7 @@ from toile.diagnosis.decision import NONE, UNKNOWN
 from toile.diagnosis.effect_evidence import EffectEvidence
 from toile.diagnosis.model_errors import ModelErrors
 from toile.effects.catalogue import PUSHING, STAND_INS, WEIGHING
+from toile.effects.steady_forces import SteadyForces
 from toile.errors import InputError
 from toile.json_file import read_json_object
 
@@ -42,6 +43,9 @@ _LARGEST = 0.15
 
 _CAUSES = 10.0
 """Effects that move a cloth, as probable as none together: what a single one is up against."""
+
+_SHARING = (SteadyForces.NAME,)
+"""Stand-ins that, beside free forces, speak for unknown only as rivals of causes that show there."""
 
 _LAPSE = 0.02
 """Share of cases that teach nothing, because what acts is too small to be seen or a fit has failed."""
@@ -299,7 +303,9 @@ class MotionEvidence:
 
         Contact is either: a push in a place and for a moment may show under a law alone, and where it shows
         in the balance, it is a rival of whatever pushes from outside. So are stand-ins for what the catalogue
-        lacks.
+        lacks. Beside free forces a steady field takes up what any cause leaves, so there it opens no case of
+        its own: it may take from the others what the law gives it. Rest lengths that drift must explain more
+        there than a density, the other cause that is a force within the cloth as well.
         """
         both = {name for name in WEIGHING if name in self.outside and name in self.effects}
         either = {n for n in (*PUSHING, *STAND_INS) if n in self.outside and n in self.effects}
@@ -313,9 +319,11 @@ class MotionEvidence:
             name: (_nats(evidence, 1.0) - weights.outside_threshold) / weights.outside_temperature
             for name, evidence in self.outside.items()
         }
+        density = [float(np.logaddexp(0.0, freed[name])) for name in sorted(both)]
         for name in freed:
             if name in STAND_INS:
                 freed[name] -= weights.outside_stand_in / weights.outside_temperature
+                freed[name] -= 0.0 if name in _SHARING else sum(density)
         freed |= self._apart({n: v for n, v in freed.items() if n not in both}, weights)
         none = [0.0, *(odds[name] - float(np.logaddexp(0.0, freed[name])) for name in sorted(both))]
         odds |= {name: odds[name] - float(np.logaddexp(0.0, -freed[name])) for name in both}
@@ -346,15 +354,19 @@ class MotionEvidence:
         return self.nats(name) - beyond
 
     def _apart(self, freed: Mapping[str, float], weights: SessionWeights) -> dict[str, float]:
-        """Log odds of causes from outside, with what a law says of them among themselves; their sum stays."""
+        """Log odds of causes from outside, with what a law says of them among themselves; their sum stays.
+
+        It is that of those that are not _SHARING.
+        """
         of_law = {
             name: self._of_law(name, weights) / weights.rivals for name in freed if name in self.effects
         }
-        if len(of_law) < 2:
-            return dict(freed)
+        alone = [freed[name] for name in of_law if name not in _SHARING]
+        if not alone:
+            return {name: -np.inf if name in _SHARING else value for name, value in freed.items()}
         best = max(of_law.values())
         told = {name: freed[name] + max(value - best, -weights.farthest) for name, value in of_law.items()}
-        before, after = (np.logaddexp.reduce([of[name] for name in told]) for of in (freed, told))
+        before, after = np.logaddexp.reduce(alone), np.logaddexp.reduce(list(told.values()))
         return {**freed, **{name: float(value + before - after) for name, value in told.items()}}
 
 
