@@ -418,6 +418,7 @@ def _with_lines_before(new: pd.DataFrame, path: Path) -> pd.DataFrame:
     """Sorted by rungs; sessions that have not been run on this machine keep the lines that are there."""
     if path.is_file():
         before = pd.read_csv(path)
+        before = before[before["rung"].isin(RUNGS)]
         mine = pd.MultiIndex.from_frame(new[["session", "rung"]])
         theirs = pd.MultiIndex.from_frame(before[["session", "rung"]])
         new = pd.concat([new, before[~theirs.isin(mine)]], ignore_index=True)
