@@ -319,6 +319,11 @@ class MotionEvidence:
             name: (_nats(evidence, 1.0) - weights.outside_threshold) / weights.outside_temperature
             for name, evidence in self.outside.items()
         }
+        for name in STAND_INS:
+            if self.sizes.get(name, np.inf) < weights.smallest:
+                # Smaller than what is a cause it speaks neither for unknown nor, against effects, for none.
+                odds.pop(name, None)
+                freed.pop(name, None)
         density = [float(np.logaddexp(0.0, freed[name])) for name in sorted(both)]
         for name in freed:
             if name in STAND_INS:

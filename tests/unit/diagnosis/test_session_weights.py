@@ -212,6 +212,22 @@ def test_a_stand_in_must_explain_more_than_an_effect() -> None:
     assert unnamed(20.0, 4.0, 6.0)[NONE] > 0.9
 
 
+def test_a_stand_in_that_hardly_moves_the_cloth_says_nothing() -> None:
+    """Rest lengths that drift by a hair explain what a law is wrong by, and are no rival of effects."""
+    one = evidence((30.0, 2.0, 2.0))
+    much = evidence((300.0, 2.0, 2.0)).effects["air_drag"]
+    plain = chances(one, SessionWeights())
+    beside = replace(
+        one,
+        effects={**one.effects, "rest_length_drift": much},
+        outside={"rest_length_drift": much},
+        sizes={"rest_length_drift": 0.006},
+    )
+    found = chances(beside, SessionWeights())
+    assert {name: found[name] for name in plain} == pytest.approx(plain)
+    assert chances(replace(beside, sizes={"rest_length_drift": 0.03}), SessionWeights())[UNKNOWN] > 0.99
+
+
 def test_what_the_base_model_explains_is_not_left_for_others() -> None:
     sure = evidence((3.0, 90.0, 2.0))
     # Its errors are those that remain beside the usual effect, so its drop is none of theirs.
