@@ -22,6 +22,8 @@ SCENE = "1, as a scene"
 """How marks call answers of the method of single clips."""
 EARLIER = ("twelve", "eight", "second_twelve", "second_eight", "four")
 """Sets answered before the motion was refined by the model's errors as they are found, oldest first."""
+LATEST = ("outside",)
+"""Sets answered since what the catalogue lacks has stand-ins, and contact is a candidate."""
 MEASURES = (
     "named rightly, effects of 3 % and more",
     "named rightly, all effects that move",
@@ -38,11 +40,15 @@ MEASURES = (
     "named rightly, effects of 3 % and more [largest drop of training loss]",
     "false alarms on nulls [largest drop of training loss]",
 )
-SINCE, BEFORE = "since the motion is refined by found errors", "before"
+NOW, SINCE, BEFORE = (
+    "since what the catalogue lacks has stand-ins",
+    "since the motion is refined by found errors",
+    "before",
+)
 
 
 def marks(folder: Path = RESULTS) -> pd.DataFrame:
-    """Marks of all sets, with the set and whether it is one of the earlier ones.
+    """Marks of all sets, with the set and which version answered it.
 
     Raises:
         ValueError: a session was answered in two sets.
@@ -53,7 +59,8 @@ def marks(folder: Path = RESULTS) -> pd.DataFrame:
         own = pd.read_csv(path, keep_default_na=False, na_values=[""])
         name = path.name.removeprefix("blind_sessions").removesuffix(SUFFIX).lstrip("_")
         own = own.assign(clips=own["clips"].astype(str))
-        found.append(own.assign(set=name, version=BEFORE if name in EARLIER else SINCE))
+        version = BEFORE if name in EARLIER else NOW if name in LATEST else SINCE
+        found.append(own.assign(set=name, version=version))
     together = pd.concat(found, ignore_index=True)
     twice = together[together.duplicated(["scene", "clips"])]
     if len(twice):
@@ -62,11 +69,14 @@ def marks(folder: Path = RESULTS) -> pd.DataFrame:
 
 
 def pooled(every: pd.DataFrame) -> pd.DataFrame:
-    """The measures over the sets before and since; answers of the method of sessions alone."""
+    """The measures over the sets of every version; answers of the method of sessions alone."""
     own = every[every["clips"] != SCENE]
     tables = []
-    for version in (SINCE, BEFORE):
-        rows = own[own["version"] == version].sort_values("clips", ascending=False, kind="stable")
+    for version in (NOW, SINCE, BEFORE):
+        of_version = own[own["version"] == version]
+        if of_version.empty:
+            continue
+        rows = of_version.sort_values("clips", ascending=False, kind="stable")
         measured = measured_sessions(rows, resamplings=2000, seed=0)
         tables.append(measured.assign(version=version))
     return pd.concat(tables, ignore_index=True)
