@@ -17,7 +17,7 @@ import numpy as np
 from numpy.polynomial.hermite_e import hermegauss
 from numpy.typing import NDArray
 from scipy.optimize import minimize
-from scipy.special import log_ndtr, softmax
+from scipy.special import expit, log_ndtr, softmax
 
 from toile.atomic_file import write_text
 from toile.diagnosis.decision import NONE, UNKNOWN
@@ -305,7 +305,8 @@ class MotionEvidence:
         in the balance, it is a rival of whatever pushes from outside. So are stand-ins for what the catalogue
         lacks. Beside free forces a steady field takes up what any cause leaves, so there it opens no case of
         its own: it may take from the others what the law gives it. Rest lengths that drift must explain more
-        there than a density, the other cause that is a force within the cloth as well.
+        there than a density, the other cause that is a force within the cloth as well, where the law does not
+        prefer them to it.
         """
         both = {name for name in WEIGHING if name in self.outside and name in self.effects}
         either = {n for n in (*PUSHING, *STAND_INS) if n in self.outside and n in self.effects}
@@ -324,11 +325,11 @@ class MotionEvidence:
                 # Smaller than what is a cause it speaks neither for unknown nor, against effects, for none.
                 odds.pop(name, None)
                 freed.pop(name, None)
-        density = [float(np.logaddexp(0.0, freed[name])) for name in sorted(both)]
         for name in freed:
             if name in STAND_INS:
                 freed[name] -= weights.outside_stand_in / weights.outside_temperature
-                freed[name] -= 0.0 if name in _SHARING else sum(density)
+                if name not in _SHARING:
+                    freed[name] -= sum(self._stands_against(name, one, freed[one], weights) for one in both)
         freed |= self._apart({n: v for n, v in freed.items() if n not in both}, weights)
         none = [0.0, *(odds[name] - float(np.logaddexp(0.0, freed[name])) for name in sorted(both))]
         odds |= {name: odds[name] - float(np.logaddexp(0.0, -freed[name])) for name in both}
@@ -352,6 +353,11 @@ class MotionEvidence:
             of_balance = not_outside + value - np.logaddexp(0.0, -beyond)
             odds[name] = float(np.logaddexp(odds[name], of_balance) if name in either else of_balance)
         return odds
+
+    def _stands_against(self, stand_in: str, name: str, freed: float, weights: SessionWeights) -> float:
+        """Log odds of ``name`` beside free forces, as far as the law prefers it to a stand-in."""
+        law = (self._of_law(name, weights) - self._of_law(stand_in, weights)) / weights.rivals
+        return float(np.logaddexp(0.0, freed) * expit(law))
 
     def _of_law(self, name: str, weights: SessionWeights) -> float:
         """Log evidence under the law, less what a stand-in or a searched obstacle needs beyond."""
