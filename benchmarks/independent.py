@@ -208,7 +208,7 @@ def main() -> None:
     data = Path(os.environ.get("TOILE_DATA", "data")) / "independent"
     found = scenes(data)
     if arguments.sessions:
-        sessions([*found, real(data)], table_only=arguments.table)
+        sessions([*found, real(data.parent)], table_only=arguments.table)
         return
     for scene in [] if arguments.table else _missing(found, OUTPUT):
         diagnose_scene(scene, OUTPUT / scene.name, ["workers=2"])

@@ -254,10 +254,10 @@ class MotionEvidence:
     def logits(self, weights: SessionWeights) -> dict[str, float]:
         """Log odds of every effect, of none and of UNKNOWN by its stand-ins, up to a common constant."""
         odds = self.odds(weights)
+        if not any(name in self.effects for name in STAND_INS):
+            return odds
         stand_ins = [odds.pop(name) for name in STAND_INS if name in odds]
-        if stand_ins:
-            odds[UNKNOWN] = float(np.logaddexp.reduce(stand_ins))
-        return odds
+        return {**odds, UNKNOWN: float(np.logaddexp.reduce([-np.inf, *stand_ins]))}
 
     def odds(self, weights: SessionWeights) -> dict[str, float]:
         """Log odds of every effect, every stand-in and of none of them, up to a common constant.

@@ -225,6 +225,7 @@ def test_a_stand_in_that_hardly_moves_the_cloth_says_nothing() -> None:
     )
     found = chances(beside, SessionWeights())
     assert {name: found[name] for name in plain} == pytest.approx(plain)
+    assert found[UNKNOWN] == 0.0
     assert chances(replace(beside, sizes={"rest_length_drift": 0.03}), SessionWeights())[UNKNOWN] > 0.99
 
 
