@@ -242,7 +242,8 @@ def write(cases: Mapping[str, Sequence[SessionCase]]) -> None:
     if weights != before:
         within = "" if best["weights"] == "as before" else " and all within the cloth"
         how = f"law_spread, rivals, stand-ins{within}"
-        weights.write(SHIPPED, f"{source}; {how}: {n} sessions of docs/results/session_weights.md")
+        added = f"{how}: {n} sessions of docs/results/session_weights.md"
+        weights.write(SHIPPED, source if source.endswith(added) else f"{source}; {added}")
     shown = {"index": False, "floatfmt": ".2f"}
     without = replace(weights, law_spread=0.0)
     answers = {name: _answers(own, without, weights) for name, own in cases.items()}
