@@ -292,7 +292,7 @@ def _predicted(
     *,
     exact: bool,
 ) -> dict[str, dict[str, float | None]]:
-    """How far every effect that was fitted shrinks the held-out error; on true positions: the oracle.
+    """How far the effects asked for shrink the held-out error; on true positions: the oracle.
 
     The best placebo is the same for all of them.
     """
@@ -490,7 +490,7 @@ def page(table: pd.DataFrame) -> str:
         "judged with the forces within the cloth free. The shrink is that of the fitted cause on the clip "
         "that was left out (of one clip: on pieces of it); on true positions it is what could be reached. "
         "Lines since 73b28d3 have it; at 73b28d3 pieces begin with the base model's motion, later with "
-        "that of each hypothesis.",
+        "that of each hypothesis. Lines of f796936: fits of 9b1ca81, probabilities by the weights since.",
         "",
     ]
     for column in (

@@ -352,7 +352,7 @@ def _handicaps(
         there = [(case, replace(weights, **best)) for case, here in zip(cases, own, strict=True) if here]
         found = [case.chances(w) for case, w in there]
         right = [p[case.cause] for p, (case, _) in zip(found, there, strict=True)]
-        wrong = [_named_wrongly(case, w) for case, w in there]
+        wrong = [_named(case, w) not in ("", case.cause) for case, w in there]
         rows.append(
             {
                 "cause left out": kind,
@@ -366,10 +366,11 @@ def _handicaps(
     return tried[int(losses.mean(1).argmin())], pd.DataFrame(rows)
 
 
-def _named_wrongly(case: SessionCase, weights: SessionWeights) -> bool:
+def _named(case: SessionCase, weights: SessionWeights) -> str:
+    """The effect that is probable enough to be the answer, "" for none."""
     p = case.chances(weights)
     first = max(p, key=lambda name: p[name])
-    return p[first] >= SessionSettings().named and first not in (NONE, UNKNOWN, case.cause)
+    return first if p[first] >= SessionSettings().named and first not in (NONE, UNKNOWN) else ""
 
 
 def _most_cautious(table: pd.DataFrame, losses: Sequence[Array]) -> pd.Series:
@@ -388,12 +389,10 @@ def _most_cautious(table: pd.DataFrame, losses: Sequence[Array]) -> pd.Series:
 def _score(asked: Sequence[tuple[SessionCase, SessionWeights]], suffix: str) -> dict[str, float]:
     loss, right, wrong = 0.0, 0, 0
     for case, weights in asked:
-        p = case.chances(weights)
-        first = max(p, key=lambda name: p[name])
-        named = p[first] >= SessionSettings().named and first not in (NONE, UNKNOWN)
-        loss += lapsed_loss(p[case.cause]) / len(asked)
-        right += int(named and first == case.cause)
-        wrong += int(named and first != case.cause)
+        named = _named(case, weights)
+        loss += lapsed_loss(case.chances(weights)[case.cause]) / len(asked)
+        right += int(named == case.cause)
+        wrong += int(named not in ("", case.cause))
     return {f"loss{suffix}": loss, f"named{suffix}": right, f"wrongly{suffix}": wrong}
 
 

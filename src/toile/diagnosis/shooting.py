@@ -159,18 +159,16 @@ def _stacked(states: Sequence[State]) -> State:
         torch.cat([state.velocities for state in states]),
         torch.cat([state.past for state in states]),
         states[0].steps,
-        None if states[0].began is None else torch.cat([s.began for s in states if s.began is not None]),
+        torch.cat([state.began for state in states]),
     )
 
 
 def _of_batch(state: State, b: int) -> State:
     """One of a batch, as a batch of one."""
     of_one = slice(b, b + 1)
-    parts = (part[of_one].clone() for part in (state.positions, state.velocities, state.past))
-    positions, velocities, past = parts
-    return State(
-        positions, velocities, past, state.steps, None if state.began is None else state.began[of_one].clone()
-    )
+    parts = (state.positions, state.velocities, state.past, state.began)
+    positions, velocities, past, began = (part[of_one].clone() for part in parts)
+    return State(positions, velocities, past, state.steps, began)
 
 
 def cosine_modes(grid: tuple[int, int], n: int) -> Array:
@@ -599,7 +597,7 @@ class Shooting:
             window.start.steps,
             self.simulator.time_step,
             self.settings.tangents,
-            0.0 if window.start.began is None else float(window.start.began[0]),
+            float(window.start.began[0]),
         )
 
         def loads(step: StepForces) -> LoadSensitivities:

@@ -202,8 +202,7 @@ class LinearizableSimulator(Simulator):
                 material=material.scene(b),
                 positions=state.positions[b],
                 velocities=state.velocities[b],
-                time=(0.0 if state.began is None else float(state.began[b]))
-                + (state.steps + 1) * self.time_step,
+                time=float(state.began[b]) + (state.steps + 1) * self.time_step,
                 time_step=self._exact_step,
                 boundary=boundary[b],
             )

@@ -65,7 +65,7 @@ def test_a_window_that_begins_later_knows_the_time_of_the_clip() -> None:
     began = torch.tensor([STEPS // 2 * STEP], dtype=torch.float64)
     window = State(half.positions, half.velocities, half.past, 0, began)
     torch.testing.assert_close(moved(effect, window, STEPS // 2)[0], whole[STEPS // 2 :], atol=1e-9, rtol=0)
-    anew = State(half.positions, half.velocities, half.past, 0)
+    anew = State(half.positions, half.velocities, half.past, 0, 0 * began)
     assert not torch.allclose(moved(effect, anew, STEPS // 2)[0], whole[STEPS // 2 :], atol=1e-4)
 
 

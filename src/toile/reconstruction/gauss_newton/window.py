@@ -100,7 +100,7 @@ def state_at(reconstruction: Reconstruction, substep_positions: Array | None, fr
     if len(reconstruction.effects) and isinstance(simulator, LinearizableSimulator):
         weights = torch.tensor(simulator.integrator.formula(index - 1).velocity, dtype=past.dtype)
         velocity = torch.tensordot(weights, past[: len(weights)], 1) / simulator.time_step
-    return State(past[0][None], velocity[None], past[None, 1:], steps=index)
+    return State(past[0][None], velocity[None], past[None, 1:], index, past.new_zeros(1))
 
 
 @torch.no_grad()
