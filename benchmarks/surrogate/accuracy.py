@@ -84,7 +84,7 @@ def _state(truth: Tensor, n: int, n_past: int, case: Case) -> State:
     """The solver's motion (T + 1, N, 3) at step n as a state; before the start it was at rest."""
     past = torch.stack([truth[max(n - 1 - k, 0)] for k in range(n_past)])[None]
     velocities = (truth[n] - past[0, 0]) / case.time_step
-    return State(truth[n][None], velocities[None], past, steps=n)
+    return State(truth[n][None], velocities[None], past, n, past.new_zeros(1))
 
 
 def _out_of_balance(
