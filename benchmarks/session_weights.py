@@ -56,10 +56,14 @@ GRADED = RESULTS / "session_evidence_graded.csv"
 """Evidence of sealed sessions, made once their labels are open."""
 SINCE = RESULTS / "session_evidence_since.csv"
 """The same of later sets, with what was judged beside free forces."""
+OUTSIDE_SET = RESULTS / "session_evidence_outside.csv"
+"""That of the set that asked for causes from outside the catalogue."""
+SIZES_SEEN = RESULTS / "apparent_size.csv"
+"""By how much sides seem to change, by session: benchmarks/apparent_size.py."""
 NEVER_LEARNT_FROM = "mujoco"
 """An engine for sealed sets alone."""
-FIXED = tuple(f.name for f in fields(SessionWeights) if f.name.startswith("outside_"))
-"""Learnt elsewhere: benchmarks/outside_causes.py."""
+FIXED = tuple(f.name for f in fields(SessionWeights) if f.name.startswith(("outside_", "resiz")))
+"""Learnt elsewhere: benchmarks/outside_causes.py, apparent_size.py."""
 RIVALS = (1e9, 32.0, 16.0, 8.0, 4.0)
 """Values of ``rivals`` among which one is chosen [nats]; with the first the law is not asked."""
 _EQUAL = 0.01
@@ -74,6 +78,7 @@ SPREADS = (0.0, 0.35, 0.7, 1.0, 1.4)
 
 def cases_of(table: pd.DataFrame) -> list[SessionCase]:
     """Evidence of every session on the rungs that a diagnosis has."""
+    seen = pd.read_csv(SIZES_SEEN).set_index("session")["change of size [%]"] / 100
     found = []
     for (rung, session), own in table[table["rung"].isin(RUNGS)].groupby(["rung", "session"], sort=False):
         cause = str(own["cause"].iloc[0]) if "cause" in own else cause_of(str(session))
@@ -104,7 +109,8 @@ def cases_of(table: pd.DataFrame) -> list[SessionCase]:
             if name in STAND_INS and _FREED_SIZE in row
         }
         sizes = {n: max(one, freed_sizes.get(n, one)) for n, one in evidence.sizes.items()}
-        evidence = replace(evidence, sizes=sizes)
+        resized = float(seen[session]) if session in seen.index else None
+        evidence = replace(evidence, sizes=sizes, resized=resized)
         if "outside drop" in own:
             freed = by_name[by_name["outside drop"].notna()]
             outside = {str(name): _effect(row, "outside ") for name, row in freed.iterrows()}
@@ -195,7 +201,7 @@ def known_cases() -> dict[str, list[SessionCase]]:
         "toile": [case for case in ladder if not case.session.startswith(BLENDER)],
         "blender": [case for case in ladder if case.session.startswith(BLENDER)],
     }
-    graded = pd.concat([pd.read_csv(path) for path in (GRADED, SINCE)])
+    graded = pd.concat([pd.read_csv(path) for path in (GRADED, SINCE, OUTSIDE_SET)])
     for engine, own in graded.groupby("engine"):
         found.setdefault(str(engine), []).extend(cases_of(own))
     return found
@@ -251,11 +257,12 @@ def write(cases: Mapping[str, Sequence[SessionCase]]) -> None:
         "# Weights of a session's evidence",
         "",
         "Made by `python benchmarks/session_weights.py` from `session_evidence.csv` (`make session-ladder`), "
-        "`session_evidence_graded.csv` and `session_evidence_since.csv` (sealed sets after grading, sessions "
-        f"of development): {len(everything)} cases of {n} generated sessions of "
-        f"{len(teaching)} engines, open labels. Development data, no blind check; `strange` and "
-        "`strangeness` are set by hand, weights of causes from outside in "
-        "[outside_causes.md](outside_causes.md).",
+        "`session_evidence_graded.csv`, `session_evidence_since.csv` and `session_evidence_outside.csv` "
+        f"(sealed sets after grading, sessions of development), and `apparent_size.csv`: {len(everything)} "
+        f"cases of {n} generated sessions of {len(teaching)} engines, open labels. Development data, no "
+        "blind check; `strange` and `strangeness` are set by hand, weights of causes from outside in "
+        "[outside_causes.md](outside_causes.md), of the apparent size in "
+        "[apparent_size.md](apparent_size.md).",
         "",
         "## An engine that taught nothing",
         "",

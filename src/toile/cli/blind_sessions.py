@@ -37,6 +37,7 @@ from toile.generation.out_of_family.session_set import (
     PlannedSession,
     SessionComposition,
     Sized,
+    medium_sessions_composition,
     outside_sessions_composition,
     plan_sessions,
     sessions_composition,
@@ -50,6 +51,7 @@ from toile.scenes.session import SESSION_FILE, Session, SessionClip, load_sessio
 
 COMPOSITIONS: dict[str, Callable[[], SessionComposition]] = {
     "sessions": sessions_composition,
+    "sessions_medium": medium_sessions_composition,
     "sessions_outside": outside_sessions_composition,
     "sessions_tiny": tiny_sessions_composition,
 }

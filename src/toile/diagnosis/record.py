@@ -19,7 +19,8 @@ Keys of the file:
 - ``session``: null, or of several clips ``clips`` [name], ``frames`` [number], ``probabilities`` {name:
   number}, ``equivalence_classes`` [[name]], ``material`` {name: number}, ``left``, ``next_clip``,
   ``expected_information`` {motion: number}, ``obstacles`` {clip: {``point``, ``normal``
-  or ``centre``, ``radius``}}, ``stand_ins`` {name: {``probability``, ``moves``, ``found`` {name: number}}}
+  or ``centre``, ``radius``}}, ``stand_ins`` {name: {``probability``, ``moves``, ``found`` {name: number}}},
+  ``resized`` {clip: share}, ``unseen`` [name]
 
 Numbers that do not exist are null. Keys that are not listed are refused: a typing error must not pass for a
 missing answer.
@@ -259,7 +260,7 @@ class SessionAnswer:
         clips: names of their folders.
         frames: of each that were used.
         probabilities: of every hypothesis, NONE and UNKNOWN among them.
-        equivalence_classes: effects that these clips cannot tell apart.
+        equivalence_classes: what these clips cannot tell apart, NONE and ``unseen`` among it.
         material: of the base model, by name, SI.
         left: squared errors that the best hypothesis leaves, over those of a usual base model.
         next_clip: motion of the clip to record next, "" for none.
@@ -276,6 +277,9 @@ class SessionAnswer:
             plane a ``point`` [m] and its ``normal`` towards the cloth, of a ball its ``centre`` and
             ``radius`` [m].
         stand_ins: where UNKNOWN is what may be missing: what it looks like, by the name of the stand-in.
+        resized: share by which the sides seem to change, by clip, where nobody moved what holds the cloth and
+            it is more than tracking errs by; negative where they shrink.
+        unseen: effects that leave no trace of their own in these clips, however strong; one class with NONE.
     """
 
     clips: tuple[str, ...]
@@ -293,6 +297,8 @@ class SessionAnswer:
     second: str = ""
     obstacles: dict[str, dict[str, tuple[float, ...]]] = field(default_factory=dict)
     stand_ins: dict[str, StandIn] = field(default_factory=dict)
+    resized: dict[str, float] = field(default_factory=dict)
+    unseen: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,13 +17,27 @@ from toile.effects.catalogue import STAND_INS
 Array = NDArray[np.float64]
 
 
+@dataclass(frozen=True)
+class SessionAlias:
+    """What clips can tell apart.
+
+    Attributes:
+        alias: traces alike, and detection limits.
+        unseen: effects that leave no trace of their own however strong they are, such as a tilt of gravity,
+            which is a steady wind to clips without a plumb line: one answer with none.
+    """
+
+    alias: Alias
+    unseen: tuple[str, ...]
+
+
 def session_alias(
     fitting: JointFitting,
     effects: Sequence[Effect],
     systems: Sequence[Sequence[WindowSystem]],
     needed: float,
     scale: float,
-) -> Alias:
+) -> SessionAlias:
     """Alias matrix and detection limits around the base model.
 
     Traces are those that refitted material, winds and starts leave.
@@ -46,12 +61,18 @@ def session_alias(
             cross = roots[i] @ fisher[np.ix_(places[i], places[j])] @ roots[j]
             matrix[i, j] = matrix[j, i] = min(1.0, float(np.linalg.norm(cross, 2)))
     limits: dict[str, float | None] = {}
+    unseen = []
     for effect, own in kept:
         parameter = effect.parameters[0]
         information = float(fisher[own[0], own[0]])
         limit = float(np.sqrt(2 * needed / max(information, 1e-12))) * parameter.scale
         limits[effect.NAME] = limit if limit <= max(abs(parameter.low), abs(parameter.high)) else None
-    return Alias(tuple(names), tuple(tuple(map(float, row)) for row in matrix), limits)
+        strongest = max(max(abs(p.low), abs(p.high)) / p.scale for p in effect.parameters)
+        most = float(np.linalg.eigvalsh(fisher[np.ix_(own, own)])[-1])
+        if 0.5 * most * strongest**2 < needed:
+            unseen.append(effect.NAME)
+    alias = Alias(tuple(names), tuple(tuple(map(float, row)) for row in matrix), limits)
+    return SessionAlias(alias, tuple(unseen))
 
 
 def _inverse_root(block: Array) -> Array:

@@ -11,10 +11,11 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.special import softmax
+from scipy.special import expit, softmax
 
 from toile.atomic_file import written_atomically
 from toile.denormals import denormals_flushed
+from toile.diagnosis.apparent_size import change_of_size
 from toile.diagnosis.arrays import FRAMES_FILE, VERTICES_FILE
 from toile.diagnosis.decision import UNKNOWN, Calibration
 from toile.diagnosis.effect_evidence import EffectEvidence
@@ -34,7 +35,6 @@ from toile.diagnosis.problem import DiagnosisProblem
 from toile.diagnosis.record import (
     AMBIGUOUS,
     NONE,
-    Alias,
     CalibrationUse,
     EffectReport,
     GapReport,
@@ -46,7 +46,7 @@ from toile.diagnosis.record import (
 )
 from toile.diagnosis.results import KINDS
 from toile.diagnosis.second_effect import EffectsBeside, SecondEffect
-from toile.diagnosis.session_alias import session_alias
+from toile.diagnosis.session_alias import SessionAlias, session_alias
 from toile.diagnosis.session_checks import moved_holders, unknown_motions
 from toile.diagnosis.session_evidence import (
     SessionEvidence,
@@ -89,6 +89,11 @@ KNOWN_BY = {"plumb_line": "gravity_tilt", "clock": "frame_rate"}
 _LEAST_GAIN = 0.05
 """Expected information for which it is worth to record another clip [nats]."""
 
+_RESIZED = (
+    "The cloth seems to become smaller or larger while what holds it stands still, and no effect of the "
+    "catalogue does that."
+)
+
 _FEWEST = 24
 """Frames of a clip that the learned decision looks at."""
 
@@ -103,12 +108,13 @@ class _Found:
     fits: dict[str, JointFit]
     evidence: SessionEvidence
     weights: SessionWeights
-    alias: Alias
+    alias: SessionAlias
     left_out: LeftOut
     gains: dict[str, float]
     displacements: dict[str, Displacement]
     second: SecondEffect | None
     stand_ins: dict[str, StandIn]
+    resized: dict[str, float]
 
 
 @denormals_flushed()
@@ -156,6 +162,8 @@ def diagnose_session(
     remarkable = _said(unknown_motions(session.clips))
     clips = seen_clips(problems, devices, pipeline, progress, motions)
     remarkable += _said(moved_holders(session.clips, clips))
+    resized = {of.folder.name: change_of_size(clip) for of, clip in zip(session.clips, clips, strict=True)}
+    sizes_seen = {name: change for name, change in resized.items() if change is not None}
 
     made_from = {
         f"clip {k}.{key}": value for k, p in enumerate(problems) for key, value in p.made_from.items()
@@ -232,6 +240,7 @@ def diagnose_session(
         plain,
         sizes,
         outside.causes,
+        max(sizes_seen.values(), key=abs, default=None),
     )
     evidence.motion.write(folder / EVIDENCE_FILE)
     scale = evidence.scale
@@ -279,7 +288,19 @@ def diagnose_session(
     progress("answer", 0.99)
     unnamed = _stand_ins(stand_ins, model, fits, outside, evidence, weights)
     found = _Found(
-        clips, model, base, fits, evidence, weights, alias, left_out, gains, displacements, second, unnamed
+        clips,
+        model,
+        base,
+        fits,
+        evidence,
+        weights,
+        alias,
+        left_out,
+        gains,
+        displacements,
+        second,
+        unnamed,
+        {name: change for name, change in sizes_seen.items() if abs(change) > weights.resized},
     )
     report = _report(found, effects, settings, together, calibration, session, folder)
     return replace(report, warnings=tuple(remarkable))
@@ -312,7 +333,8 @@ def _stand_ins(
         if name in outside.causes and motion.outside[name].nats() > motion.nats(name):
             mean = outside.causes[name].coefficients
         acting = effect.with_values(effect.scales * torch.from_numpy(mean[: len(effect.scales)].copy()))
-        chance = float(share) * evidence.chances[UNKNOWN]
+        # What the cloth's apparent size says is said of a motion that stand-ins have not seen.
+        chance = float(share * expit(-motion.of_size(weights))) * evidence.chances[UNKNOWN]
         found[name] = StandIn(chance, size, acting.described(around))
     return found
 
@@ -357,7 +379,8 @@ def _report(
     distances = _distances(found)
     _write(folder / VERTICES_FILE, np.concatenate(distances).mean(0))
     _write(folder / FRAMES_FILE, np.concatenate(distances).astype(np.float32))
-    classes = tuple(c for c in found.alias.classes(together.alike) if len(c) > 1)
+    alias, unseen = found.alias.alias, found.alias.unseen
+    classes = [c for c in alias.classes(together.alike) if len(c) > 1]
     image_evidence = {name: one.log_evidence for name, one in findings.items() if name not in found.fits}
     verdict = verdict_of(
         evidence.chances,
@@ -367,7 +390,12 @@ def _report(
         explained=evidence.left <= found.weights.strange,
         settings=settings.verdict,
     )
+    if verdict.effect == UNKNOWN and found.resized:
+        verdict = replace(verdict, reason=_RESIZED)
     verdict = _of_class(verdict, evidence.chances, classes, settings)
+    if unseen:
+        # Whatever they do is in the base model already.
+        classes = [c for c in classes if not set(c) <= set(unseen)] + [(NONE, *unseen)]
     second = found.second
     if second is not None and second.name:
         # Sizes of causes from outside are known where the forces within the cloth are free.
@@ -414,7 +442,7 @@ def _report(
             for name, chance in evidence.chances.items()
             if name in findings
         ),
-        found.alias,
+        alias,
         Protocol(
             settings.seed,
             tuple(range(len(mean))),
@@ -427,7 +455,7 @@ def _report(
             tuple(clip.folder.name for clip in session.clips),
             tuple(clip.n_frames for clip in found.clips),
             dict(evidence.chances),
-            classes,
+            tuple(classes),
             _material(found),
             evidence.left,
             following,
@@ -439,6 +467,8 @@ def _report(
             "" if second is None else second.name,
             _obstacles(found, session) if Contact.NAME in (*verdict.candidates, verdict.also) else {},
             found.stand_ins if UNKNOWN in verdict.candidates else {},
+            found.resized,
+            unseen,
         ),
     )
 

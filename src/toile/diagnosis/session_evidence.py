@@ -65,6 +65,7 @@ def session_evidence(
     plain: JointFit | None = None,
     sizes: Mapping[str, float] | None = None,
     outside: Mapping[str, OutsideCause] | None = None,
+    resized: float | None = None,
 ) -> SessionEvidence:
     """Put together what motion and images of all clips say.
 
@@ -82,6 +83,7 @@ def session_evidence(
         plain: the base model without its own effects; None where it has none.
         sizes: how far every other effect moves the cloth, see MotionEvidence.
         outside: what speaks for causes from outside, whatever the law is.
+        resized: share by which the sides seem to change, see MotionEvidence.
     """
     outside = outside or {}
     by_name = {effect.NAME: effect for effect in effects}
@@ -89,6 +91,7 @@ def session_evidence(
         _of_motion(base, fits, errors, learned, usual or {}, plain),
         sizes={**{name: cause.displacement.last for name, cause in outside.items()}, **(sizes or {})},
         outside={name: cause.evidence for name, cause in outside.items()},
+        resized=resized,
     )
     drops = {name: one.drop for name, one in motion.effects.items() if name not in STAND_INS}
     left = motion.over_usual
@@ -117,7 +120,8 @@ def session_evidence(
             findings[name] = finding(by_name[name], cause.evidence.nats(), mean, covariance)
     strange = none + float(weights.strangeness * np.log(left / weights.strange))
     logits[UNKNOWN] = float(np.logaddexp(strange, logits.get(UNKNOWN, -np.inf)))
-    return SessionEvidence(findings, drops, _chances(logits), left, scale, motion)
+    chances = _chances(motion.with_size(logits, weights))
+    return SessionEvidence(findings, drops, chances, left, scale, motion)
 
 
 def base_of_session(plain: JointFit, usual: JointFit) -> JointFit:

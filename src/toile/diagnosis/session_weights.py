@@ -89,6 +89,9 @@ class SessionWeights:
         strange: squared errors that the best hypothesis leaves, over those of USUAL_SHARE, where something
             unknown and none are equally probable.
         strangeness: e-folds of the odds of something unknown for each logarithm beyond that.
+        resized: share by which the sides of a cloth seem to change (apparent_size) where something unknown
+            and all else are equally probable.
+        resizing: e-folds of the odds of something unknown for each logarithm beyond that.
     """
 
     usual_size: float = 0.019
@@ -109,6 +112,8 @@ class SessionWeights:
     outside_spread: float = 0.14
     strange: float = 4.0
     strangeness: float = 4.0
+    resized: float = 0.025
+    resizing: float = 4.0
 
     @staticmethod
     def load(path: Path = SHIPPED) -> SessionWeights:
@@ -179,6 +184,7 @@ class MotionEvidence:
         sizes: the same of the other effects; of those that are not here nothing is asked.
         outside: what is said of causes from outside with the forces within the cloth free, see
             outside_causes; of those that are not here nothing is known.
+        resized: share by which the sides seem to change, see apparent_size; None where that is not seen.
     """
 
     base: ModelErrors
@@ -187,6 +193,7 @@ class MotionEvidence:
     usual: Mapping[str, float] = field(default_factory=dict)
     sizes: Mapping[str, float] = field(default_factory=dict)
     outside: Mapping[str, EffectEvidence] = field(default_factory=dict)
+    resized: float | None = None
 
     def write(self, path: Path) -> None:
         """Keep it, so that weights can be learnt from it once the cause is known."""
@@ -215,8 +222,15 @@ class MotionEvidence:
             )
             base = ModelErrors(**{name: float(value) for name, value in values["base"].items()})
             learned, usual, sizes = values["learned"], values["usual"], values["sizes"]
+            resized = values.get("resized")
             return MotionEvidence(
-                base, effects, None if learned is None else dict(learned), dict(usual), dict(sizes), outside
+                base,
+                effects,
+                None if learned is None else dict(learned),
+                dict(usual),
+                dict(sizes),
+                outside,
+                None if resized is None else float(resized),
             )
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             raise InputError(
@@ -238,6 +252,29 @@ class MotionEvidence:
     def over_usual(self) -> float:
         """Squared errors of the best hypothesis over those of USUAL_SHARE."""
         return self.left * (self.base.share / USUAL_SHARE) ** 2
+
+    def of_size(self, weights: SessionWeights) -> float:
+        """Log odds of something unknown against all else, by what becomes of the cloth's apparent size.
+
+        All else has been judged by a motion in which the cloth has moved away instead, so what is said of it
+        says nothing against this.
+        """
+        if self.resized is None:
+            return -np.inf
+        return weights.resizing * float(np.log(max(abs(self.resized), _LEAST) / weights.resized))
+
+    def with_size(self, logits: Mapping[str, float], weights: SessionWeights) -> dict[str, float]:
+        """Log odds with what the cloth's apparent size says of UNKNOWN.
+
+        Args:
+            logits: of all hypotheses, UNKNOWN among them or not.
+            weights: see SessionWeights.
+        """
+        if self.resized is None:
+            return dict(logits)
+        every = float(np.logaddexp.reduce(list(logits.values())))
+        unknown = np.logaddexp(logits.get(UNKNOWN, -np.inf), every + self.of_size(weights))
+        return {**logits, UNKNOWN: float(unknown)}
 
     def nats(self, name: str) -> float:
         """Log evidence of an effect against the base model."""
@@ -444,7 +481,7 @@ def learnt_weights(
 
 def chances(evidence: MotionEvidence, weights: SessionWeights) -> dict[str, float]:
     """Probabilities of effects that move the cloth, of none of them, and of UNKNOWN by its stand-ins."""
-    logits = evidence.logits(weights)
+    logits = evidence.with_size(evidence.logits(weights), weights)
     return dict(zip(logits, map(float, softmax(list(logits.values()))), strict=True))
 
 

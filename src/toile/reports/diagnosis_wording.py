@@ -186,6 +186,28 @@ def stand_ins(report: GapReport) -> list[str]:
     ]
 
 
+def resized(report: GapReport) -> list[str]:
+    """Clips in which the cloth seems to become smaller or larger, one sentence each."""
+    found = {} if report.session is None else report.session.resized
+    return [
+        f"In {clip} the sides of the cloth seem to become {100 * abs(share):.1f} % "
+        f"{'shorter' if share < 0 else 'longer'} while what holds it stands still: they do, or the camera "
+        "zooms or moves, or somebody moved what holds it."
+        for clip, share in found.items()
+    ]
+
+
+def unseen(report: GapReport) -> str:
+    """What may act although nothing shows, "" where the answer is another one or everything would show."""
+    if report.session is None or report.verdict.effect != NONE or not report.session.unseen:
+        return ""
+    names = listed([spoken(name) for name in report.session.unseen], "or")
+    return (
+        f"These clips would not show {names}, however strong: what that does the base model has already, by "
+        "its stiffness, its steady wind or how the cloth begins."
+    )
+
+
 def _measure(what: str, value: float) -> str:
     name, unit = what.rstrip("]").split(" [")
     return f"{name} {value:+.2g} {unit}" if unit == "%" else f"{name} {value:.2g} {unit}"

@@ -647,13 +647,18 @@ class TestAliases:
     def test_tilted_gravity_is_a_wind_and_leaves_no_trace(self, still: Problem) -> None:
         effects = [CATALOGUE[name]() for name in ("air_drag", "gravity_tilt", "frame_rate")]
         systems = still.fitting.systems(effects, still.base)
-        alias = session_alias(still.fitting, effects, systems, 10.0, 1.0)
+        found = session_alias(still.fitting, effects, systems, 10.0, 1.0)
+        alias = found.alias
         limits = alias.detection_limits
         assert np.allclose(np.diag(alias.matrix), 1)
         assert limits["air_drag"] is not None
         assert limits["air_drag"] < DRAG
         # A wind of 2 m/s² a priori hides a tilt of several degrees.
         assert limits["gravity_tilt"] is None or limits["gravity_tilt"] > 5.0
+        assert not {"air_drag", "frame_rate"} & set(found.unseen)
+        # Where more evidence is asked for than the strongest tilt leaves, it is one answer with none.
+        strict = session_alias(still.fitting, effects, systems, 1e4, 1.0)
+        assert "gravity_tilt" in strict.unseen
 
 
 class TestSoftened:

@@ -229,6 +229,24 @@ def test_a_stand_in_that_hardly_moves_the_cloth_says_nothing() -> None:
     assert chances(replace(beside, sizes={"rest_length_drift": 0.03}), SessionWeights())[UNKNOWN] > 0.99
 
 
+def test_a_cloth_that_seems_to_shrink_is_unknown_however_sure_an_effect_is() -> None:
+    """Effects have been judged by a motion in which the cloth has moved away instead."""
+    weights = SessionWeights()
+    logits = {NONE: 0.0, "gusts": 140.0}
+
+    def of(change: float | None) -> float:
+        found = replace(evidence((4.0, 4.0, 4.0)), resized=change).with_size(logits, weights)
+        return float(1 / (1 + np.exp(found["gusts"] - found.get(UNKNOWN, -np.inf))))
+
+    assert of(-0.08) > 0.98
+    assert of(0.08) == pytest.approx(of(-0.08))
+    assert of(weights.resized) == pytest.approx(0.5)
+    # As much as tracking errs by, and where the holders were moved.
+    assert of(0.005) < 0.01
+    assert of(0.0) < 1e-6
+    assert of(None) == 0.0
+
+
 def test_what_the_base_model_explains_is_not_left_for_others() -> None:
     sure = evidence((3.0, 90.0, 2.0))
     # Its errors are those that remain beside the usual effect, so its drop is none of theirs.
@@ -248,6 +266,7 @@ def test_images_explained_better_than_expected_know_no_more() -> None:
 
 def test_evidence_is_kept_to_learn_from(tmp_path: Path) -> None:
     whole = replace(evidence((30.0, 6.0, 5.0)), learned={"air_drag": 0.2}, usual={"internal_damping": 0.01})
+    whole = replace(whole, resized=-0.03)
     whole.write(tmp_path / "motion_evidence.json")
     assert MotionEvidence.load(tmp_path / "motion_evidence.json") == whole
     (tmp_path / "motion_evidence.json").write_text('{"base": {}}')

@@ -164,6 +164,21 @@ def test_what_is_unknown_is_said_to_look_like_something(report: GapReport) -> No
     assert "does not change" not in text
 
 
+def test_a_cloth_that_seems_to_become_smaller(report: GapReport) -> None:
+    session = SessionAnswer(("a",), (5,), {}, (), {}, 1.0, resized={"clip_0": -0.0684})
+    verdict = Verdict(UNKNOWN, (UNKNOWN,), UNKNOWN, 0.93, "Because.", "")
+    text = words(header(dataclasses.replace(answered(report, verdict), session=session)))
+    assert "In clip_0 the sides of the cloth seem to become 6.8 % shorter while what holds it" in text
+
+
+def test_what_would_not_show_is_said_where_nothing_does(report: GapReport) -> None:
+    session = SessionAnswer(("a",), (5,), {}, (), {}, 1.0, unseen=("gravity_tilt",))
+    for name, said in ((NONE, True), (UNKNOWN, False)):
+        verdict = Verdict(name, (name,), name, 0.93, "Because.", "")
+        text = words(header(dataclasses.replace(answered(report, verdict), session=session)))
+        assert ("would not show tilted gravity, however strong" in text) is said
+
+
 def test_no_gap_and_unknown_causes(report: GapReport) -> None:
     quiet = tuple(dataclasses.replace(e, probability=0.001) for e in report.effects)
     for name, title in ((NONE, "nothing missing"), (UNKNOWN, "outside the catalogue")):

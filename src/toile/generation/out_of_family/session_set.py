@@ -81,6 +81,17 @@ def outside_sessions_composition() -> SessionComposition:
     return SessionComposition(4, singles, 0, 0, outside, ("toile", "blender", "mujoco"))
 
 
+def medium_sessions_composition() -> SessionComposition:
+    """Every effect that moves the cloth once, of 3 %, a null for every three, and the causes from outside.
+
+    Asked of part of a set (``first``) it tells more of the rates that are aimed at than the sixty, which
+    have three sizes.
+    """
+    singles = tuple((name, _MEDIUM) for name in MOVING)
+    outside = tuple((name, _LARGE) for name in OUTSIDE)
+    return SessionComposition(len(singles) // 3, singles, 0, 0, outside, ("toile", "blender", "mujoco"))
+
+
 def tiny_sessions_composition() -> SessionComposition:
     """Three sessions: none, one of the catalogue, one from outside."""
     return SessionComposition(1, (("gusts", _LARGE),), 0, 0, (("vortex_field", _LARGE),))
