@@ -12,6 +12,7 @@ from toile.generation.out_of_family.session_set import (
     MOVING,
     PlannedSession,
     Sized,
+    medium_sessions_composition,
     outside_sessions_composition,
     plan_sessions,
     sessions_composition,
@@ -33,6 +34,10 @@ def test_the_composition() -> None:
     assert set(sizes) == set(SIZES)
     assert sizes[1.0] == sizes[7.0] == 6
     assert tiny_sessions_composition().size == 3
+    medium = medium_sessions_composition()
+    assert {name for name, _ in medium.singles} == set(MOVING)
+    assert {size for _, size in medium.singles} == {3.0}
+    assert medium.nulls >= len(MOVING) / 4
     asked = outside_sessions_composition()
     assert asked.size == 12
     assert asked.nulls == 4
