@@ -162,8 +162,11 @@ def diagnose_session(
     remarkable = _said(unknown_motions(session.clips))
     clips = seen_clips(problems, devices, pipeline, progress, motions)
     remarkable += _said(moved_holders(session.clips, clips))
-    resized = {of.folder.name: change_of_size(clip) for of, clip in zip(session.clips, clips, strict=True)}
-    sizes_seen = {name: change for name, change in resized.items() if change is not None}
+    changes = {
+        of.folder.name: change
+        for of, clip in zip(session.clips, clips, strict=True)
+        if (change := change_of_size(clip)) is not None
+    }
 
     made_from = {
         f"clip {k}.{key}": value for k, p in enumerate(problems) for key, value in p.made_from.items()
@@ -240,7 +243,7 @@ def diagnose_session(
         plain,
         sizes,
         outside.causes,
-        max(sizes_seen.values(), key=abs, default=None),
+        max(changes.values(), key=abs, default=None),
     )
     evidence.motion.write(folder / EVIDENCE_FILE)
     scale = evidence.scale
@@ -300,7 +303,7 @@ def diagnose_session(
         displacements,
         second,
         unnamed,
-        {name: change for name, change in sizes_seen.items() if abs(change) > weights.resized},
+        {name: change for name, change in changes.items() if abs(change) > weights.resized},
     )
     report = _report(found, effects, settings, together, calibration, session, folder)
     return replace(report, warnings=tuple(remarkable))
