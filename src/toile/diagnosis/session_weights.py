@@ -336,7 +336,9 @@ class MotionEvidence:
         A density is both. What is known of it with the forces within the cloth free falls with every force
         that these are given, as that of an uneven stiffness does, so an error of the law may pass for it
         there; and under a law another may. So it has the odds that it has among its rivals under the law, as
-        far as the clips show it with the forces within the cloth free; the rest is none.
+        far as the clips show it with the forces within the cloth free; the rest is none. Of a density that
+        acts other causes from outside take up a part there, so it stands against all of them, as far as the
+        law prefers it to the best of them.
 
         Contact is either: a push in a place and for a moment may show under a law alone, and where it shows
         in the balance, it is a rival of whatever pushes from outside. So are stand-ins for what the catalogue
@@ -368,6 +370,11 @@ class MotionEvidence:
                 if name not in _SHARING:
                     freed[name] -= sum(self._stands_against(name, one, freed[one], weights) for one in both)
         freed |= self._apart({n: v for n, v in freed.items() if n not in both}, weights)
+        rivals = [name for name in freed if name not in both and name in self.effects]
+        if both and rivals:
+            best = max(rivals, key=lambda name: self._of_law(name, weights))
+            taken = sum(self._stands_against(best, one, freed[one], weights) for one in both)
+            freed |= {name: freed[name] - taken for name in rivals}
         none = [0.0, *(odds[name] - float(np.logaddexp(0.0, freed[name])) for name in sorted(both))]
         odds |= {name: odds[name] - float(np.logaddexp(0.0, -freed[name])) for name in both}
         for name, value in odds.items():
@@ -391,9 +398,9 @@ class MotionEvidence:
             odds[name] = float(np.logaddexp(odds[name], of_balance) if name in either else of_balance)
         return odds
 
-    def _stands_against(self, stand_in: str, name: str, freed: float, weights: SessionWeights) -> float:
-        """Log odds of ``name`` beside free forces, as far as the law prefers it to a stand-in."""
-        law = (self._of_law(name, weights) - self._of_law(stand_in, weights)) / weights.rivals
+    def _stands_against(self, other: str, name: str, freed: float, weights: SessionWeights) -> float:
+        """Log odds of ``name`` beside free forces, as far as the law prefers it to another one."""
+        law = (self._of_law(name, weights) - self._of_law(other, weights)) / weights.rivals
         return float(np.logaddexp(0.0, freed) * expit(law))
 
     def _of_law(self, name: str, weights: SessionWeights) -> float:

@@ -159,6 +159,20 @@ def test_a_density_is_named_only_where_both_modules_have_it() -> None:
     assert found["anisotropic_stiffness"] == pytest.approx(found["nonuniform_density"])
 
 
+def test_a_density_stands_against_what_takes_up_a_part_of_its_trace() -> None:
+    """Of a density that acts, gusts take up a part where forces within the cloth are free."""
+
+    def of(law: float, drag: float) -> dict[str, float]:
+        one = evidence((drag, 2.0, law))
+        freed = evidence((50.0, 2.0, 290.0)).effects
+        outside = {name: freed[name] for name in ("air_drag", "nonuniform_density")}
+        return chances(replace(one, outside=outside), SessionWeights())
+
+    assert of(950.0, 90.0)["nonuniform_density"] > 0.99
+    # What the law prefers to it is left alone.
+    assert of(90.0, 400.0)["air_drag"] > 0.99
+
+
 def touching(law: float, freed: float, drag: tuple[float, float]) -> dict[str, float]:
     """Probabilities where contact, and drag, have so much under a law and beside free forces [nats]."""
     of = {nats: evidence((nats, 2.0, 2.0)).effects["air_drag"] for nats in (law, freed, *drag)}
