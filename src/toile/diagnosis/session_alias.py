@@ -12,7 +12,7 @@ from toile.diagnosis.continuity import WindowSystem
 from toile.diagnosis.joint_fit import JointFitting
 from toile.diagnosis.record import Alias
 from toile.effects.base import Effect
-from toile.effects.catalogue import STAND_INS
+from toile.effects.catalogue import OUTSIDE, PUSHING, STAND_INS, WEIGHING
 
 Array = NDArray[np.float64]
 
@@ -23,8 +23,9 @@ class SessionAlias:
 
     Attributes:
         alias: traces alike, and detection limits.
-        unseen: effects that leave no trace of their own however strong they are, such as a tilt of gravity,
-            which is a steady wind to clips without a plumb line: one answer with none.
+        unseen: causes from outside that leave no trace of their own however strong they are, such as a tilt
+            of gravity, which is a steady wind to clips without a plumb line: one answer with none. What acts
+            within the cloth is not said to be unseen: the stiffness that hides it was fitted without it.
     """
 
     alias: Alias
@@ -69,7 +70,8 @@ def session_alias(
         limits[effect.NAME] = limit if limit <= max(abs(parameter.low), abs(parameter.high)) else None
         strongest = max(max(abs(p.low), abs(p.high)) / p.scale for p in effect.parameters)
         most = float(np.linalg.eigvalsh(fisher[np.ix_(own, own)])[-1])
-        if 0.5 * most * strongest**2 < needed:
+        from_outside = effect.NAME in OUTSIDE and effect.NAME not in (*PUSHING, *WEIGHING)
+        if from_outside and 0.5 * most * strongest**2 < needed:
             unseen.append(effect.NAME)
     alias = Alias(tuple(names), tuple(tuple(map(float, row)) for row in matrix), limits)
     return SessionAlias(alias, tuple(unseen))
