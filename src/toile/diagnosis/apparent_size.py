@@ -17,6 +17,12 @@ Array = NDArray[np.float64]
 _FEWEST = 9
 """Frames, so that a third and a tenth of them are some."""
 
+_SLIP = 2.0
+"""How far a slip goes along the line of sight at most, of how far it goes across it.
+
+Of a slip in any direction whatever in nine cases of ten: 2 / sqrt(5) of the sphere.
+"""
+
 
 def change_of_size(clip: SeenClip) -> float | None:
     """Share by which the sides seem to have changed in a clip, negative where they shrink.
@@ -35,16 +41,21 @@ def seen_change(tracked: Array, at: Array) -> float:
     """The same from tracked positions of holders (F, P, 3) [m], the camera in the origin.
 
     From the first tenth of the frames to the last third, along the lines of sight, by as much as all holders
-    do: one that slips towards the camera alone changes nothing.
+    do: one that slips towards the camera alone changes nothing. Holders that all slip move across the lines
+    of sight as well, so of the change that is taken away which such a slip may have along them.
 
     Args:
         tracked: F of at least _FEWEST.
         at: where they are (P, 3) [m].
     """
     distance = np.linalg.norm(at, axis=-1)
-    along = (tracked * (at / distance[:, None])).sum(-1) / distance
-    first = np.median(along[: max(3, len(along) // 10)], axis=0)
-    sides = first / np.median(along[-(len(along) // 3) :], axis=0) - 1
+    ray = at / distance[:, None]
+    first = np.median(tracked[: max(3, len(tracked) // 10)], axis=0)
+    last = np.median(tracked[-(len(tracked) // 3) :], axis=0)
+    before, after = (first * ray).sum(-1), (last * ray).sum(-1)
+    sides = before / after - 1
     if np.ptp(np.sign(sides)) > 0:
         return 0.0
-    return float(sides[np.abs(sides).argmin()])
+    across = np.linalg.norm(last - first - (after - before)[:, None] * ray, axis=-1) / distance
+    least = sides[np.abs(sides).argmin()]
+    return float(np.sign(least) * max(abs(least) - _SLIP * across.max(), 0.0))

@@ -26,6 +26,14 @@ def test_what_one_holder_does_alone_says_nothing() -> None:
     assert seen_change(turning, AT) == 0.0
 
 
+def test_holders_that_all_slip_are_no_cloth_that_shrinks() -> None:
+    """They move across the line of sight as well, which a cloth that shrinks does not make them do."""
+    slip = np.array([0.03, 0.0, 0.05]) * np.linspace(0, 1, 60)[:, None, None]
+    assert seen_change(AT + slip, AT) == 0.0
+    straight = slip * np.array([0.1, 0.0, 1.0])
+    assert seen_change(AT + straight, AT) < -0.01
+
+
 def test_a_wrong_distance_from_the_first_frame_on_says_nothing() -> None:
     # As of a focal length that is not what it is said to be.
     assert seen_change(np.repeat(1.05 * AT[None], 60, 0), AT) == pytest.approx(0.0, abs=1e-12)
