@@ -143,7 +143,7 @@ def certainty(report: GapReport) -> str:
     if verdict.effect == NONE:
         return f"Probability {probability} that nothing is missing.{excluded}"
     if verdict.effect == UNKNOWN:
-        text = f"Probability {probability}: forces are missing, and no effect of the catalogue supplies them."
+        text = f"Probability {probability}: something is missing that no effect of the catalogue is."
         return text + excluded
     if verdict.effect == AMBIGUOUS:
         found = {effect.name: effect.probability for effect in report.effects}
