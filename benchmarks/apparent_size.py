@@ -5,6 +5,8 @@
         # makes and tracks first clips of sessions that session_ladder names, and adds them first
     python benchmarks/apparent_size.py --graded outputs/blind_predictions/NAME=MARKS.csv
         # adds first clips of a graded set, scenes in outputs/blind/NAME
+    python benchmarks/apparent_size.py --kept --sessions ... --graded ...
+        # the same from tracked motions that are there, whichever version has tracked them
 
 Sessions of the engine that is for sealed sets alone never teach.
 """
@@ -13,7 +15,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,8 +32,9 @@ from toile.atomic_file import write_text
 from toile.cli.configuration import CONF, register_resolvers
 from toile.cli.diagnose import session_problem
 from toile.denormals import denormals_flushed
-from toile.diagnosis.apparent_size import change_of_size
+from toile.diagnosis.apparent_size import change_of_size, seen_change
 from toile.diagnosis.pipeline import Pipeline
+from toile.diagnosis.planned_clip import HELD_STILL
 from toile.diagnosis.problem import DiagnosisProblem
 from toile.diagnosis.results import KINDS
 from toile.diagnosis.session_stages import seen_clips
@@ -40,8 +43,12 @@ from toile.diagnosis.stage_store import StageStore
 from toile.diagnosis.stage_times import StageTimes
 from toile.diagnosis.stored_values import ValueStore
 from toile.generation.clip_plan import DEFAULT_CLIPS
+from toile.scenes.native import load_native
+from toile.scenes.session import load_session
 
 Array = NDArray[np.float64]
+Measure = Callable[[Path, Path], float | None]
+"""Change of the apparent size, from the folder of a session and that of its diagnosis."""
 
 RESULTS = Path("docs") / "results"
 TABLE = RESULTS / "apparent_size.csv"
@@ -68,25 +75,38 @@ def measured(folder: Path, out: Path) -> float | None:
     return change_of_size(clip)
 
 
-def of_ladder(sessions: Sequence[str]) -> list[dict[str, object]]:
+def kept(folder: Path, out: Path) -> float | None:
+    """The same from the motion that has been tracked before."""
+    first = load_session(folder).clips[0]
+    if first.motion not in HELD_STILL:
+        return None
+    scene = load_native(first.folder)
+    pinned = list(scene.pinned_vertices)
+    (file,) = (out / "clip_0").rglob("tracked.npz")
+    with np.load(file) as arrays:
+        positions = np.asarray(arrays["positions"], np.float64)
+    return seen_change(positions[:, pinned], scene.template.reshape(-1, 3)[pinned].numpy().astype(np.float64))
+
+
+def of_ladder(sessions: Sequence[str], measure: Measure = measured) -> list[dict[str, object]]:
     """One row for each of these sessions."""
     rows: list[dict[str, object]] = []
     for session in sessions:
         folder = made(session, plans=DEFAULT_CLIPS[:1])
         engine = "blender" if session.startswith(BLENDER) else "toile"
         size = float(session.split(":")[1])
-        change = measured(folder, folder.with_name(f"{folder.name}_run"))
+        change = measure(folder, folder.with_name(f"{folder.name}_run"))
         rows.append(_row(folder.name, engine, cause_of(folder.name), size, change))
         print(rows[-1], flush=True)
     return rows
 
 
-def of_graded(predictions: Path, marks: pd.DataFrame) -> list[dict[str, object]]:
+def of_graded(predictions: Path, marks: pd.DataFrame, measure: Measure = measured) -> list[dict[str, object]]:
     """One row for every session of a graded set."""
     rows: list[dict[str, object]] = []
     scenes = Path("outputs") / "blind" / predictions.name / "scenes"
     for mark in marks.drop_duplicates("scene").itertuples():
-        change = measured(scenes / str(mark.scene), predictions / str(mark.scene))
+        change = measure(scenes / str(mark.scene), predictions / str(mark.scene))
         rows.append(
             _row(str(mark.scene), str(mark.generator), str(mark.truth), float(mark.gap_percent), change)
         )
@@ -174,11 +194,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--sessions", nargs="+", default=[], help="sessions to add, see session_ladder")
     parser.add_argument("--graded", nargs="+", default=[], help="FOLDER=MARKS.csv of graded sets to add")
+    parser.add_argument("--kept", action="store_true", help="track nothing: motions that are there")
     given = parser.parse_args()
-    rows = of_ladder(given.sessions)
+    measure = kept if given.kept else measured
+    rows = of_ladder(given.sessions, measure)
     for one in given.graded:
         folder, _, marks = str(one).partition("=")
-        rows += of_graded(Path(folder), pd.read_csv(marks))
+        rows += of_graded(Path(folder), pd.read_csv(marks, keep_default_na=False, na_values=[""]), measure)
     table = pd.read_csv(TABLE) if TABLE.is_file() else pd.DataFrame()
     if rows:
         new = pd.DataFrame(rows)

@@ -58,4 +58,5 @@ def seen_change(tracked: Array, at: Array) -> float:
         return 0.0
     across = np.linalg.norm(last - first - (after - before)[:, None] * ray, axis=-1) / distance
     least = sides[np.abs(sides).argmin()]
-    return float(np.sign(least) * max(abs(least) - _SLIP * across.max(), 0.0))
+    left = abs(least) - _SLIP * across.max()
+    return float(np.sign(least) * left) if left > 0 else 0.0
