@@ -32,7 +32,7 @@ from toile.atomic_file import write_text
 from toile.cli.configuration import CONF, register_resolvers
 from toile.cli.diagnose import session_problem
 from toile.denormals import denormals_flushed
-from toile.diagnosis.apparent_size import change_of_size, seen_change
+from toile.diagnosis.apparent_size import change_in, change_of_size
 from toile.diagnosis.pipeline import Pipeline
 from toile.diagnosis.planned_clip import HELD_STILL
 from toile.diagnosis.problem import DiagnosisProblem
@@ -80,12 +80,10 @@ def kept(folder: Path, out: Path) -> float | None:
     first = load_session(folder).clips[0]
     if first.motion not in HELD_STILL:
         return None
-    scene = load_native(first.folder)
-    pinned = list(scene.pinned_vertices)
     (file,) = (out / "clip_0").rglob("tracked.npz")
     with np.load(file) as arrays:
         positions = np.asarray(arrays["positions"], np.float64)
-    return seen_change(positions[:, pinned], scene.template.reshape(-1, 3)[pinned].numpy().astype(np.float64))
+    return change_in(load_native(first.folder), positions)
 
 
 def of_ladder(sessions: Sequence[str], measure: Measure = measured) -> list[dict[str, object]]:
@@ -126,6 +124,12 @@ def _row(session: str, engine: str, cause: str, size: float, change: float | Non
     }
 
 
+def added(table: pd.DataFrame, new: pd.DataFrame) -> pd.DataFrame:
+    """The table with new rows; sessions that are in both have the new one."""
+    before = table[~table["session"].isin(new["session"])] if len(table) else table
+    return pd.concat([before, new], ignore_index=True)
+
+
 def learnt(table: pd.DataFrame) -> SessionWeights:
     """The two weights under which what shrinks and what does not is most probable.
 
@@ -161,7 +165,7 @@ def write(table: pd.DataFrame) -> None:
         others = teaching[teaching["session"] != row.session]
         by_others.append(chance(float(table.loc[row.Index, "change of size [%]"]), learnt(others)))
     shown = table.assign(probability=by_others).sort_values(
-        "change of size [%]", key=lambda values: -values.abs(), ignore_index=True
+        "change of size [%]", key=lambda values: -values.abs(), kind="stable", ignore_index=True
     )
     shipped = replace(SessionWeights.load(), resized=weights.resized, resizing=weights.resizing)
     source = json.loads(SHIPPED.read_text())["source"]
@@ -203,10 +207,7 @@ def main() -> None:
         rows += of_graded(Path(folder), pd.read_csv(marks, keep_default_na=False, na_values=[""]), measure)
     table = pd.read_csv(TABLE) if TABLE.is_file() else pd.DataFrame()
     if rows:
-        new = pd.DataFrame(rows)
-        if len(table):
-            new = pd.concat([table[~table["session"].isin(new["session"])], new])
-        table = new
+        table = added(table, pd.DataFrame(rows))
         write_text(TABLE, table.to_csv(index=False, float_format="%.4g"))
     write(table)
 

@@ -333,7 +333,7 @@ def _rivals(
     for one in tried:
         asking = replace(weights, **one)
         scores.append(_score([(case, asking) for case in teaching], ""))
-        losses.append(np.array([lapsed_loss(case.chances(asking)[case.cause]) for case in teaching]))
+        losses.append(_losses(teaching, asking))
         others = _score([(case, asking) for case in unseen], f", {NEVER_LEARNT_FROM}")
         name = "no" if one["rivals"] == RIVALS[0] else f"{one['rivals']:g}"
         rows.append({"rivals [nats]": name, "farthest": one["farthest"]} | scores[-1] | others)
@@ -360,19 +360,17 @@ def _handicaps(
     tried = [
         dict(zip(names, values, strict=True)) for values in product(sorted(HANDICAPS, reverse=True), repeat=3)
     ]
-    losses = np.array(
-        [[lapsed_loss(case.chances(replace(weights, **one))[case.cause]) for case in cases] for one in tried]
-    )
+    losses = np.array([_losses(cases, replace(weights, **one)) for one in tried])
     rows = []
     # The folders of sealed sessions tell nothing.
     kinds = np.array([cause_of(case.session) if "_" in case.session else case.cause for case in cases])
     for kind in dict.fromkeys(kinds.tolist()):
         own = kinds == kind
         best = tried[int(losses[:, ~own].mean(1).argmin())]
-        there = [(case, replace(weights, **best)) for case, here in zip(cases, own, strict=True) if here]
-        found = [case.chances(w) for case, w in there]
-        right = [p[case.cause] for p, (case, _) in zip(found, there, strict=True)]
-        wrong = [_named(case, w) not in ("", case.cause) for case, w in there]
+        there = [case for case, here in zip(cases, own, strict=True) if here]
+        found = [case.chances(replace(weights, **best)) for case in there]
+        right = [p[case.cause] for p, case in zip(found, there, strict=True)]
+        wrong = [_named(p) not in ("", case.cause) for p, case in zip(found, there, strict=True)]
         rows.append(
             {
                 "cause left out": kind,
@@ -386,9 +384,12 @@ def _handicaps(
     return tried[int(losses.mean(1).argmin())], pd.DataFrame(rows)
 
 
-def _named(case: SessionCase, weights: SessionWeights) -> str:
+def _losses(cases: Sequence[SessionCase], weights: SessionWeights) -> Array:
+    return np.array([lapsed_loss(case.chances(weights)[case.cause]) for case in cases])
+
+
+def _named(p: Mapping[str, float]) -> str:
     """The effect that is probable enough to be the answer, "" for none."""
-    p = case.chances(weights)
     first = max(p, key=lambda name: p[name])
     return first if p[first] >= SessionSettings().named and first not in (NONE, UNKNOWN) else ""
 
@@ -409,8 +410,9 @@ def _most_cautious(table: pd.DataFrame, losses: Sequence[Array]) -> pd.Series:
 def _score(asked: Sequence[tuple[SessionCase, SessionWeights]], suffix: str) -> dict[str, float]:
     loss, right, wrong = 0.0, 0, 0
     for case, weights in asked:
-        named = _named(case, weights)
-        loss += lapsed_loss(case.chances(weights)[case.cause]) / len(asked)
+        p = case.chances(weights)
+        named = _named(p)
+        loss += lapsed_loss(p[case.cause]) / len(asked)
         right += int(named == case.cause)
         wrong += int(named not in ("", case.cause))
     return {f"loss{suffix}": loss, f"named{suffix}": right, f"wrongly{suffix}": wrong}

@@ -54,6 +54,16 @@ def test_what_is_rare_needs_more_than_where_it_is_half(
     assert program.chance(100 * half.resized, rare) == pytest.approx(0.05, rel=1e-3)
 
 
+def test_a_session_that_is_measured_again_counts_once(program: ModuleType) -> None:
+    table = sessions(0.3, 5.0)
+    again = table.iloc[[3]].assign(**{"change of size [%]": 0.7})
+    both = program.added(table, again)
+    assert len(both) == len(table)
+    assert both.index.is_unique
+    assert both.set_index("session").loc[3, "change of size [%]"] == 0.7
+    assert len(program.added(pd.DataFrame(), again)) == 1
+
+
 def test_the_package_has_what_the_table_says(program: ModuleType) -> None:
     table = pd.read_csv(ROOT / "docs" / "results" / "apparent_size.csv")
     learnt = program.learnt(table[table["engine"] != program.NEVER_LEARNT_FROM])

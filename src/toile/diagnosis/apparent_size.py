@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toile.diagnosis.session_stages import SeenClip
+from toile.scenes.scene import Scene
 
 Array = NDArray[np.float64]
 
@@ -30,11 +31,16 @@ def change_of_size(clip: SeenClip) -> float | None:
     None where somebody moved what holds the cloth, where nothing does, or where too few frames are tracked.
     """
     scene = clip.problem.scene
-    pinned = list(scene.pinned_vertices)
-    if not clip.held_still or not pinned or clip.n_frames < _FEWEST:
+    if not clip.held_still or not scene.pinned_vertices or clip.n_frames < _FEWEST:
         return None
+    return change_in(scene, clip.tracked.positions[: clip.n_frames])
+
+
+def change_in(scene: Scene, positions: Array) -> float:
+    """The same from a tracked motion (F, N, 3) [m] in which the holders stand still where the template is."""
+    pinned = list(scene.pinned_vertices)
     at = scene.template.reshape(-1, 3)[pinned].numpy().astype(np.float64)
-    return seen_change(clip.tracked.positions[: clip.n_frames, pinned], at)
+    return seen_change(positions[:, pinned], at)
 
 
 def seen_change(tracked: Array, at: Array) -> float:

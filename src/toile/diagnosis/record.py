@@ -279,7 +279,7 @@ class SessionAnswer:
         stand_ins: where UNKNOWN is what may be missing: what it looks like, by the name of the stand-in.
         resized: share by which the sides seem to change, by clip, where nobody moved what holds the cloth and
             it is more than tracking errs by; negative where they shrink.
-        unseen: effects that leave no trace of their own in these clips, however strong; one class with NONE.
+        unseen: causes from outside that leave no trace of their own in these clips; one class with NONE.
     """
 
     clips: tuple[str, ...]
