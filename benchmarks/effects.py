@@ -100,7 +100,7 @@ TRUTH: Mapping[str, Mapping[str, float]] = {
     "internal_damping": {"in_plane": 0.01, "bending": 0.04},
     "anisotropic_stiffness": {"stretching": 0.4, "bending": -0.6},
     "strain_stiffening": {},
-    "rest_curvature": {"axis_0": 1.5, "axis_1": -1.0},
+    "rest_curvature": {"axis_0": 1.2e-3, "axis_1": -8e-4},  # curvatures of 1.5 and -1 per metre
     "nonuniform_density": {
         "mode_10": 0.2,
         "mode_01": -0.3,

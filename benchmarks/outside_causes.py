@@ -137,10 +137,7 @@ def beside_forces(folder: Path, out: Path) -> dict[str, object]:
         other = copy(fitting)
         other.size = replace(fitting.settings, force=force).size
         fits = other.linearised(considered, base, other.quadratic(considered, base, systems))
-        nats = {
-            name: EffectEvidence.of(base.misfit - fit.misfit, fit.own, fit.own_covariance, fit.size).nats()
-            for name, fit in fits.items()
-        }
+        nats = {name: fit.evidence(base).nats() for name, fit in fits.items()}
         rows.append({"session": folder.name, "forces [m/s²]": force, **nats})
     return {"session": folder.name, "rows": rows}
 

@@ -38,7 +38,7 @@ from toile.diagnosis.pipeline import Pipeline
 from toile.diagnosis.problem import DiagnosisProblem
 from toile.diagnosis.results import KINDS
 from toile.diagnosis.session_diagnosis import learned_chances, stand_in_sizes
-from toile.diagnosis.session_evidence import base_of_session, promising
+from toile.diagnosis.session_evidence import promising
 from toile.diagnosis.session_settings import SessionSettings
 from toile.diagnosis.session_stages import (
     RefinedMotion,
@@ -188,7 +188,7 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
     fitting = model.fitting
     plain = fitting.fitted((), fitting.start_fit())
     usual = fitting.fitted(fitting.usual, plain)
-    base = base_of_session(plain, usual)
+    base = usual
     errors = model.errors(base)
     learned = learned_chances(clips, motion) or {}
     revision = current_git_revision()
@@ -203,6 +203,7 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
     fits = fitting.linearised(moving, base, fitting.quadratic(moving, base, fitting.systems(moving, base)))
     fits |= {effect.NAME: usual for effect in moving if effect.NAME in usual.names}
     chosen = promising(base, fits, moving, errors, settings.fitted, plain, usual.names)
+    chosen += [e for e in moving if fitting.has_lost_its_stiffness(e, base) and e not in chosen]
     # The cause is fitted whatever it promises, so that what it predicts is known.
     chosen += [e for e in moving if truth_is == e.NAME and e not in chosen and e.NAME not in usual.names]
     outside = OutsideCauses({})
@@ -218,7 +219,7 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
         against = plain if effect.NAME in base.names else base
         before = _evidence(against, fit)
         if effect in chosen:
-            fit = fitting.fitted(fitting.hypothesis(effect, base), base)
+            fit = fitting.fitted_hypothesis(effect, base)
         fits[effect.NAME] = fit
         far = displacement(fitting.clips, fitting.start, fit, model.width).last
         found = _evidence(against, fit)
@@ -314,7 +315,7 @@ def _predicted(
 
 
 def _evidence(against: JointFit, fit: JointFit) -> EffectEvidence:
-    return EffectEvidence.of(against.misfit - fit.misfit, fit.own, fit.own_covariance, fit.size)
+    return fit.evidence(against)
 
 
 def _motion(

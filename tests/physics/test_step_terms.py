@@ -169,6 +169,7 @@ def test_damping_does_not_move_the_equilibrium():
 
 
 N_STRIP, STRIP = 13, 0.3
+BENDING = 3e-4  # N·m
 
 
 def settled_strip(axis, curvature):
@@ -177,7 +178,7 @@ def settled_strip(axis, curvature):
     index = torch.arange(3 * N_STRIP).reshape(grid)
     pinned = (index[:2] if axis == 0 else index[:, :2]).reshape(-1)
     cloth = grid_cloth(grid, size, 0.2, tuple(pinned.tolist()))
-    material = grid_material(one(80.0), one(3e-4), one(3e-4))
+    material = grid_material(one(80.0), one(3e-4), one(BENDING))
     x = flat(grid, size)
     terms = [curvature, AirDrag({"linear": 4.0})]
     end = move(cloth, x, 0 * x, 0.02, 400, vector(0, 0, 0), terms, material=material)[0, -1]
@@ -189,7 +190,7 @@ def settled_strip(axis, curvature):
 @pytest.mark.parametrize("axis", [0, 1])
 def test_strip_settles_to_its_natural_curvature(axis, sign):
     """One end clamped, no gravity: an arc that turns by κ L per segment, towards the normal."""
-    line, up = settled_strip(axis, RestCurvature({f"axis_{axis}": 8.0 * sign}))
+    line, up = settled_strip(axis, RestCurvature({f"axis_{axis}": 8.0 * sign * BENDING}))
     direction = line / line.norm(dim=-1, keepdim=True)
     angles = torch.arccos((direction[1:] * direction[:-1]).sum(-1).clamp(max=1.0))
     segment = STRIP / (N_STRIP - 1)
@@ -200,7 +201,7 @@ def test_strip_settles_to_its_natural_curvature(axis, sign):
 @pytest.mark.parametrize("axis", [0, 1])
 def test_strip_settles_to_a_curvature_that_varies_along_it(axis):
     """At every vertex it turns by κ(u) L, κ(u) = 3 + 6 cos(2πu), of either sign."""
-    fold = RestCurvature({f"axis_{axis}": 3.0, f"axis_{axis}_2": 6.0}, half_waves=2)
+    fold = RestCurvature({f"axis_{axis}": 3.0 * BENDING, f"axis_{axis}_2": 6.0 * BENDING}, half_waves=2)
     line, up = settled_strip(axis, fold)
     heading = torch.atan2(line[:, 2], line[:, 1 - axis])
     u = torch.linspace(0, 1, N_STRIP, dtype=torch.float64)[1:-1]
@@ -212,7 +213,7 @@ def test_strip_settles_to_a_curvature_that_varies_along_it(axis):
     "term",
     [
         AirDrag({"linear": 1.0, "normal": 2.0, "quadratic": 3.0}),
-        RestCurvature({"axis_0": 5.0, "axis_1_1": -3.0}, half_waves=1),
+        RestCurvature({"axis_0": 5e-5, "axis_1_1": -3e-5}, half_waves=1),
     ],
 )
 def test_what_is_quadratic_is_expanded_without_error(term):
@@ -244,7 +245,7 @@ def test_rest_curvature_pulls_without_net_force_or_torque():
     x = flat(GRID, SIZE)[0]
     x = x + torch.stack((0 * x[:, 0], 0 * x[:, 0], 0.03 * torch.sin(20 * x[:, 1] + 3 * x[:, 0])), -1)
     now = StepContext(CLOTH, MATERIAL, x, 0 * x, 0.01, 0.01, x[:0])
-    term = RestCurvature({"axis_0": 5.0, "axis_1": -3.0})
+    term = RestCurvature({"axis_0": 5e-5, "axis_1": -3e-5})
     at = x.clone().requires_grad_()
     (forces,) = torch.autograd.grad(-term.energy(at, now).sum(), at)
     size = forces.norm(dim=-1).sum()
@@ -323,7 +324,7 @@ def test_gradients_by_all_inputs_with_terms(integrator):
         InternalDamping({"in_plane": 0.01, "bending": 0.05}),
         StrainStiffening({"stretching": 500.0, "shearing": 10.0}),
         NonuniformStiffness({"mode_10": 0.4, "mode_02": -0.3}),
-        RestCurvature({"axis_0": 4.0, "axis_1": -3.0}),
+        RestCurvature({"axis_0": 4e-5, "axis_1": -3e-5}),
         Contact(Plane((0.0, 0.0, 1.005), (0.1, 0.2, -1.0)), {"stiffness": 1e4, "friction": 0.4}),
     ]
     generator = torch.Generator().manual_seed(2)

@@ -32,6 +32,7 @@ from toile.diagnosis.base_fit import (
     window_bounds,
 )
 from toile.diagnosis.continuity import Discrepancy, Joined, WindowSystem
+from toile.diagnosis.effect_evidence import EffectEvidence
 from toile.diagnosis.evidence import Evidence
 from toile.diagnosis.mechanics import effect_systems
 from toile.diagnosis.positive import positive_lower
@@ -101,6 +102,12 @@ _DRAUGHT = 0.02
 
 _TRUSTED = 0.5
 """Share of what is promised from which on steps may be longer again."""
+
+_SOFT = 2.0
+"""Prior deviations below its usual value from which on a stiffness counts as next to nothing."""
+
+_FIRST_PASSES = 5
+"""After which it shows from where a fit goes further."""
 
 _ROOM = 1e-12
 """Between the bounds of a coefficient that is at one of them, and below those of the law in logarithms."""
@@ -310,6 +317,7 @@ class JointFit:
         converged: whether the last pass gained little.
         size: prior deviation of its own coefficients under which it was fitted.
         n_usual: coefficients of the base model's effects, which come before its own.
+        deviation: see Effect.deviation, of the effect in question on the material of the fit.
     """
 
     names: tuple[str, ...]
@@ -324,6 +332,7 @@ class JointFit:
     converged: bool
     size: float = 1.0
     n_usual: int = 0
+    deviation: float = 1.0
 
     @property
     def own(self) -> Array:
@@ -334,6 +343,16 @@ class JointFit:
     def own_covariance(self) -> Array:
         """Of them, those of the base model's effects integrated out."""
         return self.covariance[self.n_usual :, self.n_usual :]
+
+    def evidence(self, against: JointFit) -> EffectEvidence:
+        """What it says about the coefficients of the effect in question.
+
+        Args:
+            against: the hypothesis without it.
+        """
+        unit = self.deviation
+        own, covariance = self.own / unit, self.own_covariance / unit**2
+        return EffectEvidence.of(against.misfit - self.misfit, own, covariance, self.size / unit)
 
 
 class JointFitting:
@@ -359,6 +378,7 @@ class JointFitting:
         self.usual = tuple(usual)
         self.size = settings.size
         parameters = self.clips[0].shooting.simulator.cloth.energies.parameters
+        self._names = [p.name for p in parameters]
         self._highest = np.log([p.upper for p in parameters] / start) - _ROOM
         self._values = np.minimum(values, self._highest)
         self._devices = [clip.device for clip in clips]
@@ -471,7 +491,75 @@ class JointFitting:
             converged=converged,
             size=self.settings.inflation(effects[-1]) if effects else 1.0,
             n_usual=len(begin.coefficients) if len(effects) > len(begin.names) else begin.n_usual,
+            deviation=self._deviation_of(effects[-1], place.values) if effects else 1.0,
         )
+
+    def fitted_hypothesis(self, effect: Effect, base: JointFit, workers: Workers = ALONE) -> JointFit:
+        """A hypothesis at its best, from where the base model has ended: it cannot be worse.
+
+        Where the base model has lost the stiffness that the effect works against, a fit begins with that as
+        it usually is as well, see ``has_lost_its_stiffness``; the one that soon explains more goes on.
+
+        Args:
+            effect: in question.
+            base: the base model.
+            workers: share the windows of a clip.
+        """
+        hypothesis = self.hypothesis(effect, base)
+        begin = self._with_its_stiffness(effect, base, workers)
+        if begin is None:
+            return self.fitted(hypothesis, base, workers)
+        brief = copy.copy(self)
+        brief.settings = replace(self.settings, passes=min(_FIRST_PASSES, self.settings.passes))
+        tried = [brief.fitted(hypothesis, one, workers, spread=False) for one in (base, begin)]
+        return self.fitted(hypothesis, min(tried, key=lambda fit: fit.misfit), workers)
+
+    def has_lost_its_stiffness(self, effect: Effect, base: JointFit) -> bool:
+        """Whether the base model has next to nothing of the stiffness against which an effect works.
+
+        A model that lacks a moment makes up for it that way. There the logarithm of the stiffness has no
+        slope any more: neither tangents show what the effect would do, nor does a fit come back.
+
+        Args:
+            effect: in question.
+            base: the base model.
+        """
+        k = self._stiffness_of(effect)
+        return k is not None and bool(base.values[k] < -_SOFT * self._deviations(self.layout(()))[k])
+
+    def _deviation_of(self, effect: Effect, values: Array) -> float:
+        """See Effect.deviation, on a material of these log ratios."""
+        material = self.start * np.exp(np.minimum(values[: len(self.start)], self._highest))
+        return effect.deviation(dict(zip(self._names, map(float, material), strict=True)))
+
+    def _stiffness_of(self, effect: Effect) -> int | None:
+        """Place of the stiffness against which an effect works among the material's numbers."""
+        return self._names.index(effect.STIFFNESS) if effect.STIFFNESS in self._names else None
+
+    def _with_its_stiffness(self, effect: Effect, base: JointFit, workers: Workers) -> JointFit | None:
+        """The base model with the stiffness that it has lost where fits begin.
+
+        None where it has lost none, or a step with it blows up.
+        """
+        k = self._stiffness_of(effect)
+        if k is None or not self.has_lost_its_stiffness(effect, base):
+            return None
+        n = len(self.start)
+        other = copy.copy(self)
+        other._values = base.values[:n].copy()
+        other._values[k] = 0.0
+        winds = base.values[n:].reshape(-1, N_WIND)
+        other.clips = [
+            replace(clip, windows=windows, wind=tuple(map(float, wind)))
+            for clip, windows, wind in zip(self.clips, base.windows, winds, strict=True)
+        ]
+        try:
+            begin = other.started(self.usual_in(base), base.coefficients, workers)
+        except FloatingPointError:
+            return None
+        if not all(window.converged for window in chain.from_iterable(begin.windows)):
+            return None
+        return begin
 
     def with_usual(self, effects: Sequence[Effect]) -> JointFitting:
         """Fits to the same clips with another base model.
@@ -618,6 +706,7 @@ class JointFitting:
                 converged=False,
                 size=inflation,
                 n_usual=n_usual,
+                deviation=self._deviation_of(effect, base.values),
             )
         return found
 

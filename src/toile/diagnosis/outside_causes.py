@@ -169,7 +169,7 @@ def judged(
     return OutsideCauses(
         {
             name: OutsideCause(
-                EffectEvidence.of(base.misfit - fit.misfit, fit.own, fit.own_covariance, fit.size),
+                fit.evidence(base),
                 fit.own,
                 fit.own_covariance,
                 displacement(fitting.clips, fitting.start, fit, width),
@@ -194,7 +194,7 @@ def _beside(
     given = fitting.with_usual((*fitting.usual, first))
     with_first = given.with_effect_at_zero(base, first)
     return {
-        name: EffectEvidence.of(with_first.misfit - fit.misfit, fit.own, fit.own_covariance, fit.size)
+        name: fit.evidence(with_first)
         for name, fit in given.linearised(candidates, with_first, evidence).items()
     }
 

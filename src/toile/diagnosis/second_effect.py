@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toile.diagnosis.decision import NONE, UNKNOWN
-from toile.diagnosis.effect_evidence import EffectEvidence
 from toile.diagnosis.effect_size import displacement
 from toile.diagnosis.joint_fit import JointFit
 from toile.diagnosis.outside_causes import OutsideCauses
@@ -150,10 +149,7 @@ class EffectsBeside:
             else displacement(fitting.clips, fitting.start, fit, model.width).last
             for name, fit in fits.items()
         }
-        within = {
-            name: EffectEvidence.of(with_first.misfit - fit.misfit, fit.own, fit.own_covariance, fit.size)
-            for name, fit in fits.items()
-        }
+        within = {name: fit.evidence(with_first) for name, fit in fits.items()}
         found = chances(MotionEvidence(errors, within, self.learned, {}, sizes, freed), self.weights)
         return dict(sorted(found.items(), key=lambda item: -item[1])), fits
 

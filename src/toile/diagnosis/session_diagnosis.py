@@ -50,7 +50,6 @@ from toile.diagnosis.session_alias import SessionAlias, session_alias
 from toile.diagnosis.session_checks import moved_holders, unknown_motions
 from toile.diagnosis.session_evidence import (
     SessionEvidence,
-    base_of_session,
     promising,
     session_evidence,
 )
@@ -180,7 +179,7 @@ def diagnose_session(
     stages = HypothesisStages(model, progress, made_from, workers)
     plain = pipeline.run(stages.plain(0.5), motion)
     usual = pipeline.run(stages.usual(0.53), motion, plain)
-    base = base_of_session(plain, usual)
+    base = usual
     weights = SessionWeights.load().of_clips(len(clips))
     if any(effect.NAME == Contact.NAME for effect in effects):
         # It is known what the cloth may touch.
@@ -211,6 +210,8 @@ def diagnose_session(
     # What leads from outside is predicted as well, whatever its fit under a law says.
     leads = outside.leading(weights.outside_threshold)
     chosen += [e for e in moving if leads == e.NAME and e not in chosen]
+    # Tangents say nothing of what works against a stiffness that is not there.
+    chosen += [e for e in moving if model.fitting.has_lost_its_stiffness(e, base) and e not in chosen]
     for k, effect in enumerate(chosen):
         share = 0.64 + 0.24 * (k + 1) / (len(chosen) + 1)
         fits[effect.NAME] = pipeline.run(stages.fit(effect, share), motion, base)

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from scipy.special import softmax
 
 from toile.diagnosis.decision import NONE, UNKNOWN, Calibration
-from toile.diagnosis.effect_evidence import EffectEvidence
 from toile.diagnosis.findings import Finding, finding
 from toile.diagnosis.joint_fit import JointFit
 from toile.diagnosis.model_errors import ModelErrors
@@ -20,9 +19,6 @@ from toile.effects.base import Effect, Scope
 from toile.effects.catalogue import PUSHING, STAND_INS
 
 Array = NDArray[np.float64]
-
-_SHOWN = 2.0
-"""Gain of usual effects from which on the base model has them [nats]."""
 
 _NEAR = 30.0
 """Evidence in the linearised model by which a stand-in may be behind and is fitted all the same [nats]."""
@@ -124,16 +120,6 @@ def session_evidence(
     return SessionEvidence(findings, drops, chances, left, scale, motion)
 
 
-def base_of_session(plain: JointFit, usual: JointFit) -> JointFit:
-    """The base model: with its usual effects where the clips show them, else without.
-
-    Args:
-        plain: fit without any effect.
-        usual: with them.
-    """
-    return usual if plain.misfit - usual.misfit > _SHOWN else plain
-
-
 def promising(
     base: JointFit,
     fits: Mapping[str, JointFit],
@@ -176,8 +162,7 @@ def _of_motion(
     own = {}
     for name, fit in fits.items():
         against = plain if plain is not None and name in base.names else base
-        drop = against.misfit - fit.misfit
-        own[name] = EffectEvidence.of(drop, fit.own, fit.own_covariance, fit.size)
+        own[name] = fit.evidence(against)
     return MotionEvidence(errors, own, learned, usual)
 
 

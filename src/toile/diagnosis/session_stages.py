@@ -443,7 +443,7 @@ class HypothesisStages:
         name, fitting = effect.NAME, self.model.fitting
 
         def compute(motion: RefinedMotion, base: JointFit) -> JointFit:
-            return fitting.fitted(fitting.hypothesis(effect, base), base, self.workers)
+            return fitting.fitted_hypothesis(effect, base, self.workers)
 
         made_from = {**self.made_from, "effect": fingerprint((effect,))}
         return PipelineStage(
@@ -464,7 +464,7 @@ class HypothesisStages:
         name = effect.NAME
 
         def compute(motion: RefinedMotion, with_first: JointFit) -> JointFit:
-            return fitting.fitted(fitting.hypothesis(effect, with_first), with_first, self.workers)
+            return fitting.fitted_hypothesis(effect, with_first, self.workers)
 
         return PipelineStage(
             f"fit of {name} beside {first}",

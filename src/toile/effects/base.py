@@ -76,6 +76,7 @@ class Effect(ABC):
         STAGE: see Stage.
         SCOPE: see Scope; of the cloth where a class says nothing else.
         PARAMETERS: all of them are strengths: the effect does nothing where all are 0.
+        STIFFNESS: name of the material's number against which it works, "" where it works against none.
         SOURCE: where the model is from.
         values: (n_parameters,) float64, in the order of ``parameters``; may require gradients.
     """
@@ -84,6 +85,7 @@ class Effect(ABC):
     STAGE: ClassVar[Stage]
     SCOPE: ClassVar[Scope] = Scope.CLOTH
     PARAMETERS: ClassVar[tuple[Parameter, ...]]
+    STIFFNESS: ClassVar[str] = ""
     SOURCE: ClassVar[str]
 
     def __init__(self, values: Mapping[str, float] | None = None) -> None:
@@ -133,6 +135,14 @@ class Effect(ABC):
     def in_detail(self) -> Self:
         """The same effect with the finer fields that a session can tell apart; itself for most effects."""
         return self
+
+    def deviation(self, material: Mapping[str, float]) -> float:
+        """Prior deviation of the values of a cloth, in ``scales``; 1 for most effects.
+
+        Args:
+            material: of the cloth, by name.
+        """
+        return 1.0
 
     def place(self) -> dict[str, NDArray[np.float64]]:
         """Where this instance acts, beside its values, as arrays; {} where all of a class are alike."""

@@ -17,6 +17,11 @@ from toile.limits import CountOrZero
 from toile.physics.cloth import Cloth
 from toile.physics.step_terms import StepContext
 
+_SCALE = 1e-3
+"""Of the moments [N]: a curvature of 5 / m in a cloth of usual stiffness, 2e-4 N·m."""
+_USUAL = 5.0
+"""Of natural curvatures [1/m], whatever the stiffness."""
+
 IN_DETAIL = 4
 """Half waves that resolve a quarter of the cloth: a fold."""
 
@@ -24,12 +29,12 @@ IN_DETAIL = 4
 @lru_cache
 def _parameters(half_waves: int) -> tuple[Parameter, ...]:
     means = (
-        Parameter(f"axis_{a}", "1/m", -50.0, 50.0, 5.0, f"natural curvature along grid axis {a}")
+        Parameter(f"axis_{a}", "N", -0.1, 0.1, _SCALE, f"B κ, moment per width, along grid axis {a}")
         for a in (0, 1)
     )
     varying = (
         Parameter(
-            f"axis_{a}_{p}", "1/m", -50.0, 50.0, 5.0, f"its variation along grid axis {a}, {p} half waves"
+            f"axis_{a}_{p}", "N", -0.1, 0.1, _SCALE, f"its variation along grid axis {a}, {p} half waves"
         )
         for a in (0, 1)
         for p in range(1, half_waves + 1)
@@ -40,19 +45,22 @@ def _parameters(half_waves: int) -> tuple[Parameter, ...]:
 class RestCurvature(VertexEffect):
     """Bending energy ½ B Σ (θ - κ L)² instead of ½ B Σ θ², θ signed by the cloth's normal.
 
-    What is new is -B κ L Σ θ, a constant bending moment B κ L in every straight. Its force, B κ L ∂θ/∂x, is
-    taken where the step begins, so the potential is linear in the new positions; at rest it balances the
-    elastic bending force exactly where θ = κ L. It adds no momentum, and no angular momentum
+    What is new is -M L Σ θ, a constant bending moment M = B κ per width in every straight. Its force,
+    M L ∂θ/∂x, is taken where the step begins, so the potential is linear in the new positions; at rest it
+    balances the elastic bending force exactly where θ = κ L. It adds no momentum, and no angular momentum
     where the cloth does not bend within its own plane.
 
-    θ > 0 where the cloth curves towards its normal (StepContext.normals), κ = 1 / radius then.
+    Parameters are of M: it moves the cloth whatever B is, while of B and κ the motion shows the product
+    first, and a fit of both goes along a curved valley. What is known beforehand is of κ, see ``deviation``.
 
-    κ along an axis may vary along it, κ(u) = κ + Σ_p κ_p cos(pπu), u from 0 to 1: what was on a roll is
+    θ > 0 where the cloth curves towards its normal (StepContext.normals), κ = M / B = 1 / radius then.
+
+    M along an axis may vary along it, M(u) = M + Σ_p M_p cos(pπu), u from 0 to 1: what was on a roll is
     curved everywhere, a fold or a rolled edge in a band.
 
     Args:
         values: see Effect.
-        half_waves: of the shortest mode of κ along its axis; None for 0, or as many as ``in_detail`` takes.
+        half_waves: of the shortest mode of M along its axis; None for 0, or as many as ``in_detail`` takes.
 
     Raises:
         InputError: there are no such modes, or values of others.
@@ -62,6 +70,7 @@ class RestCurvature(VertexEffect):
     STAGE: ClassVar[Stage] = Stage.MECHANICS
     quadratic: ClassVar[bool] = True
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = _parameters(0)
+    STIFFNESS: ClassVar[str] = "bending"
     SOURCE: ClassVar[str] = (
         "Grinspun, Hirani, Desbrun and Schröder, Discrete Shells, SCA 2003 (bending about a "
         "curved rest shape)"
@@ -94,18 +103,22 @@ class RestCurvature(VertexEffect):
         other.half_waves = IN_DETAIL
         return other.with_values(torch.cat((self.values, self.values.new_zeros(2 * IN_DETAIL))))
 
+    def deviation(self, material: Mapping[str, float]) -> float:
+        """See Effect: natural curvatures of 5 / m, whatever B is."""
+        return _USUAL * material["bending"] / _SCALE
+
     def energy(self, positions: Tensor, now: StepContext) -> Tensor:
         """See VertexTerm."""
         forces = now.once(self, lambda: self._forces(now))
         return -(forces * positions).sum(-1)
 
     def _forces(self, now: StepContext) -> Tensor:
-        """B κ L Σ ∂θ/∂x (N, 3) [N] where the step begins."""
-        return now.material["bending"] * _angle_gradients(now, _curvatures(self.values, now.cloth))
+        """M L Σ ∂θ/∂x (N, 3) [N] where the step begins."""
+        return _angle_gradients(now, _moments(self.values, now.cloth))
 
 
-def _curvatures(values: Tensor, cloth: Cloth) -> Tensor:
-    """κ L of every straight (S,) [rad], L the length that belongs to its middle vertex."""
+def _moments(values: Tensor, cloth: Cloth) -> Tensor:
+    """M L of every straight (S,) [N·m], L the length that belongs to its middle vertex."""
     if cloth.grid is None:
         raise InputError(
             "rest curvature needs a cloth on a grid", where="cloth", expected="a grid", got="a general mesh"

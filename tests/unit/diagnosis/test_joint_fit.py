@@ -28,7 +28,6 @@ from toile.diagnosis.model_errors import ModelErrors, model_errors
 from toile.diagnosis.outside_causes import OutsideCauses, judged
 from toile.diagnosis.refits import acting_with
 from toile.diagnosis.session_alias import session_alias
-from toile.diagnosis.session_evidence import base_of_session
 from toile.diagnosis.session_settings import SessionSettings
 from toile.diagnosis.shooting import Shooting, ShootingSettings, WindowMotion, cosine_modes
 from toile.diagnosis.softened import ModelError, softened
@@ -58,6 +57,7 @@ GRAVITY = np.array([0.0, 9.81, 0.0])
 HORIZONTAL = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 WINDS = ((0.0, 0.5), (0.6, -0.4))
 DRAG = 1.2  # 1/s, linear
+CURL = 2e-3  # N, 10 / m
 
 
 def clip(
@@ -134,6 +134,17 @@ def damped() -> tuple[JointFitting, JointFit, JointFit]:
     fitting = JointFitting(clips, 1.2 * STIFFNESS, np.zeros(3), usual=usual)
     plain = fitting.fitted((), fitting.start_fit())
     return fitting, plain, fitting.fitted(fitting.usual, plain)
+
+
+@pytest.fixture(scope="module")
+def curled() -> tuple[JointFitting, JointFit, Effect]:
+    """A curling cloth whose base model has ended with next to no bending stiffness."""
+    material = np.array([400.0, 2e-3, 2e-4])
+    curl = CATALOGUE["rest_curvature"]({"axis_0": CURL})
+    clips = [joint_clip(*clip(wind, (curl,), material=material), FRAMES) for wind in WINDS]
+    settings = JointFitSettings(passes=12)
+    soft = JointFitting(clips, material, np.array([0.0, 0.0, -5.0]), settings).start_fit()
+    return JointFitting(clips, material, np.zeros(3), settings), soft, CATALOGUE["rest_curvature"]()
 
 
 class TestFits:
@@ -360,7 +371,7 @@ class TestCausesFromOutside:
         assert causes[name].displacement.last > 0.01
 
     def test_fits_go_on_with_the_forces_that_another_one_has_found(self) -> None:
-        free, _, _ = self.free(CATALOGUE["rest_curvature"]({"axis_0": 12.0}))
+        free, _, _ = self.free(CATALOGUE["rest_curvature"]({"axis_0": 1.2e-3}))
         found = free.fitted(free.usual, free.start_fit())
         again = free.started_like(found)
         assert again.misfit < 0.8 * free.start_fit().misfit
@@ -372,7 +383,7 @@ class TestCausesFromOutside:
             assert np.array_equal(window.standardised[first:], before.standardised[first:])
 
     def test_what_acts_within_leaves_no_trace(self) -> None:
-        curled, uneven = {"axis_0": 12.0}, {"stretching": 1.5, "bending": 1.5}
+        curled, uneven = {"axis_0": 1.2e-3}, {"stretching": 1.5, "bending": 1.5}
         within = CATALOGUE["rest_curvature"](curled), CATALOGUE["anisotropic_stiffness"](uneven)
         found, of_law = self.found(*within)
         assert max(cause.evidence.nats() for cause in found.causes.values()) < 3
@@ -381,19 +392,55 @@ class TestCausesFromOutside:
         assert of_law > 10
 
 
+class TestLostStiffness:
+    """A base model that lacks a moment makes up for it by bending without any resistance."""
+
+    def test_it_is_noticed_for_what_works_against_it(
+        self, curled: tuple[JointFitting, JointFit, Effect]
+    ) -> None:
+        fitting, soft, curvature = curled
+        assert fitting.has_lost_its_stiffness(curvature, soft)
+        assert not fitting.has_lost_its_stiffness(curvature, fitting.start_fit())
+        assert not fitting.has_lost_its_stiffness(drag(0.0), soft)
+
+    def test_the_hypothesis_finds_stiffness_and_moment(
+        self, curled: tuple[JointFitting, JointFit, Effect]
+    ) -> None:
+        fitting, soft, curvature = curled
+        from_there = fitting.fitted((curvature,), soft)
+        found = fitting.fitted_hypothesis(curvature, soft)
+        assert found.misfit <= from_there.misfit
+        assert found.values[2] == pytest.approx(0.0, abs=0.3)
+        assert float(found.effects[0][0].value("axis_0")) == pytest.approx(CURL, rel=0.2)
+        assert found.n_usual == 0
+        assert len(found.own) == 2
+
+    def test_what_is_known_beforehand_is_of_the_curvature(
+        self, curled: tuple[JointFitting, JointFit, Effect]
+    ) -> None:
+        """The same moment is a usual curvature of a stiff cloth and an unusual one of a soft cloth."""
+        fitting, soft, curvature = curled
+        found = fitting.fitted_hypothesis(curvature, soft)
+        bending = 2e-4 * np.exp(found.values[2])
+        assert found.deviation == pytest.approx(5.0 * bending / 1e-3, rel=1e-6)
+        softer = replace(found, deviation=0.01 * found.deviation)
+        assert softer.evidence(soft).drop == found.evidence(soft).drop
+        assert softer.evidence(soft).nats() < found.evidence(soft).nats() - 10
+
+
 class TestUsualEffects:
     """What the base model has of itself is no evidence for others, and they are fitted beside it."""
 
-    def test_the_base_model_has_them_where_clips_show_them(
+    def test_the_base_model_has_as_much_of_them_as_clips_show(
         self, damped: tuple[JointFitting, JointFit, JointFit], still: Problem
     ) -> None:
         _, plain, usual = damped
-        assert base_of_session(plain, usual) is usual
+        assert plain.misfit - usual.misfit > 10
         assert len(usual.own) == 2
         fitting = JointFitting(
             still.fitting.clips, still.fitting.start, np.zeros(3), usual=(CATALOGUE["internal_damping"](),)
         )
-        assert base_of_session(still.base, fitting.fitted(fitting.usual, still.base)) is still.base
+        assert still.base.misfit - fitting.fitted(fitting.usual, still.base).misfit < 2
 
     def test_other_effects_gain_nothing_from_them(
         self, damped: tuple[JointFitting, JointFit, JointFit]

@@ -84,7 +84,7 @@ def test_a_wrong_clock_leads() -> None:
         (),
         (CATALOGUE["internal_damping"]({"in_plane": 0.05, "bending": 0.3}),),
         (CATALOGUE["anisotropic_stiffness"]({"stretching": 1.5, "bending": 1.5}),),
-        (CATALOGUE["rest_curvature"]({"axis_0": 8.0}),),
+        (CATALOGUE["rest_curvature"]({"axis_0": 8e-4}),),
     ],
 )
 def test_what_acts_within_the_cloth_leaves_no_trace(within: tuple[Effect, ...]) -> None:
