@@ -15,13 +15,12 @@ beside it)
 spring lengths
 - ``internal_damping``: relaxation time of bending, of the out-of-family generator, whose other times depend
 on the rate
-- ``rest_curvature``: curvature of Blender's rolled sheet; the out-of-family generator's is a band
 
 Other laws altogether, with no common number: ``air_drag`` (|v|^1.5 instead of linear and quadratic),
 ``gusts`` (noise and pulses instead of cosines), ``strain_stiffening`` (exponential instead of quadratic),
-``nonuniform_density`` and ``nonuniform_stiffness`` (patches instead of cosines), ``contact`` (depth instead
-of stiffness). Their magnitudes are not marked: a diagnosis does not say how far an effect moves the cloth
-over the whole clip.
+``nonuniform_density`` and ``nonuniform_stiffness`` (patches instead of cosines), ``rest_curvature`` (the
+curvature of a band or a sheet instead of moments), ``contact`` (depth instead of stiffness). Their magnitudes
+are not marked: a diagnosis does not say how far an effect moves the cloth over the whole clip.
 """
 
 from __future__ import annotations
@@ -136,7 +135,6 @@ _BLENDER: _Forms = {
     "motion_blur": {("fraction",): lambda own: own["shutter"]},
     "gravity_tilt": {("about_x", "about_z"): lambda own: abs(own["angle"])},
     "anchor_slip": {("x", "y", "z"): lambda own: abs(own["distance"])},
-    "rest_curvature": {("axis_0", "axis_1"): lambda own: abs(own["curvature"])},
 }
 """Labels of scenes from Blender in numbers of the catalogue."""
 
