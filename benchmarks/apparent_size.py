@@ -38,7 +38,7 @@ from toile.diagnosis.planned_clip import HELD_STILL
 from toile.diagnosis.problem import DiagnosisProblem
 from toile.diagnosis.results import KINDS
 from toile.diagnosis.session_stages import seen_clips
-from toile.diagnosis.session_weights import SHIPPED, SessionWeights
+from toile.diagnosis.session_weights import SHIPPED, SessionWeights, lapsed_loss
 from toile.diagnosis.stage_store import StageStore
 from toile.diagnosis.stage_times import StageTimes
 from toile.diagnosis.stored_values import ValueStore
@@ -134,15 +134,16 @@ def learnt(table: pd.DataFrame) -> SessionWeights:
     """The two weights under which what shrinks and what does not is most probable.
 
     There are more of those that shrink than there will be, so the odds are corrected for their share (King
-    and Zeng 2001, Logistic regression in rare events data, the prior correction).
+    and Zeng 2001, Logistic regression in rare events data, the prior correction). Cases may lapse: a cloth
+    that shrinks and has been tracked where it is says nothing of how large a change must be.
     """
     sizes = np.log(np.maximum(np.abs(table["change of size [%]"].to_numpy()) / 100, 1e-4))
     signs = np.where(table["cause"] == RESIZED, 1.0, -1.0)
     start = np.log([PRIOR.resized, PRIOR.resizing])
 
     def cost(logs: Array) -> float:
-        odds = np.exp(logs[1]) * (sizes - logs[0])
-        return float(np.logaddexp(0.0, -signs * odds).sum() + 0.5 * ((logs - start) ** 2).sum())
+        right = expit(signs * np.exp(logs[1]) * (sizes - logs[0]))
+        return float(sum(map(lapsed_loss, right)) + 0.5 * ((logs - start) ** 2).sum())
 
     at, steep = np.exp(minimize(cost, start, method="Nelder-Mead").x)
     share = max(float((signs > 0).mean()), SHARE)
