@@ -467,7 +467,7 @@ def main() -> None:
         machine=", ".join(f"{k} {v}" for k, v in machine().items()),
     )
     text += "\n" + markdown(table) + "\n\n" + FOOT
-    text += "\n".join(f"- {name}: {note}." for name, note in NOTES.items()) + "\n"
+    text += "\n".join(f"- `{name}`: {note}." for name, note in NOTES.items()) + "\n"
     text += (
         "\nStiffness and wind were found with them, from 0.6, 1.6 and 1.6 times the true Y, S and B and no "
         f"wind: the worst of the five is off by {100 * others.median():.1f} % in the median over the effects"
