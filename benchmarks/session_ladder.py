@@ -187,8 +187,7 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
     model = SessionModel(clips, motion, settings, stiffness)
     fitting = model.fitting
     plain = fitting.fitted((), fitting.start_fit())
-    usual = fitting.fitted(fitting.usual, plain)
-    base = usual
+    base = fitting.fitted(fitting.usual, plain)
     errors = model.errors(base)
     learned = learned_chances(clips, motion) or {}
     revision = current_git_revision()
@@ -201,11 +200,11 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
     longest = (clips[0].problem.scene.n_frames - 1) / clips[0].problem.scene.fps
     moving += [STAND_INS[name]().for_clip(longest) for name in settings.stand_ins]
     fits = fitting.linearised(moving, base, fitting.quadratic(moving, base, fitting.systems(moving, base)))
-    fits |= {effect.NAME: usual for effect in moving if effect.NAME in usual.names}
-    chosen = promising(base, fits, moving, errors, settings.fitted, plain, usual.names)
+    fits |= {effect.NAME: base for effect in moving if effect.NAME in base.names}
+    chosen = promising(base, fits, moving, errors, settings.fitted, plain, base.names)
     chosen += [e for e in moving if fitting.has_lost_its_stiffness(e, base) and e not in chosen]
     # The cause is fitted whatever it promises, so that what it predicts is known.
-    chosen += [e for e in moving if truth_is == e.NAME and e not in chosen and e.NAME not in usual.names]
+    chosen += [e for e in moving if truth_is == e.NAME and e not in chosen and e.NAME not in base.names]
     outside = OutsideCauses({})
     if "force" not in rung:
         outside = outside_causes(clips, motion, settings, stiffness, moving, own=model.own)
@@ -234,7 +233,7 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
                 "seconds": seconds,
                 "plain misfit": plain.misfit,
                 "base misfit": base.misfit,
-                "usual": " ".join(usual.names),
+                "usual": " ".join(base.names),
                 "cost of errors": errors.cost,
                 "expected cost": errors.expected,
                 "share": errors.share,
@@ -254,7 +253,7 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
                 "CPU [s]": time.process_time() - began,
             }
         )
-    every = {name: sizes.pop(name) for name in usual.names if name in sizes}
+    every = {name: sizes.pop(name) for name in base.names if name in sizes}
     under_law = (*PUSHING, *STAND_INS)
     sizes |= {name: cause.displacement.last for name, cause in causes.items() if name not in under_law}
     sizes |= stand_in_sizes(sizes, outside)

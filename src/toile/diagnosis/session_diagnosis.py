@@ -88,6 +88,9 @@ KNOWN_BY = {"plumb_line": "gravity_tilt", "clock": "frame_rate"}
 _LEAST_GAIN = 0.05
 """Expected information for which it is worth to record another clip [nats]."""
 
+_LACKING = "Something acts on the cloth or within it, and no effect of the catalogue does that."
+"""A force, or another change: what it looks like is said of the stand-ins."""
+
 _RESIZED = (
     "The cloth seems to become smaller or larger while what holds it stands still, and no effect of the "
     "catalogue does that."
@@ -178,8 +181,7 @@ def diagnose_session(
     model = SessionModel(clips, motion, together, settings.stiffness)
     stages = HypothesisStages(model, progress, made_from, workers)
     plain = pipeline.run(stages.plain(0.5), motion)
-    usual = pipeline.run(stages.usual(0.53), motion, plain)
-    base = usual
+    base = pipeline.run(stages.usual(0.53), motion, plain)
     weights = SessionWeights.load().of_clips(len(clips))
     if any(effect.NAME == Contact.NAME for effect in effects):
         # It is known what the cloth may touch.
@@ -204,9 +206,9 @@ def diagnose_session(
     systems = model.fitting.systems(considered, base, workers)
     quadratic = model.fitting.quadratic(considered, base, systems)
     fits = model.fitting.linearised(considered, base, quadratic)
-    fits |= {name: usual for name in usual.names if name in candidates}
+    fits |= {name: base for name in base.names if name in candidates}
     errors = model.errors(base)
-    chosen = promising(base, fits, [*moving, *stand_ins], errors, together.fitted, plain, usual.names)
+    chosen = promising(base, fits, [*moving, *stand_ins], errors, together.fitted, plain, base.names)
     # What leads from outside is predicted as well, whatever its fit under a law says.
     leads = outside.leading(weights.outside_threshold)
     chosen += [e for e in moving if leads == e.NAME and e not in chosen]
@@ -229,7 +231,7 @@ def diagnose_session(
     }
     sizes = {name: one.last for name, one in displacements.items()}
     sizes |= stand_in_sizes(sizes, outside)
-    every = {name: sizes.pop(name) for name in usual.names if name in sizes}
+    every = {name: sizes.pop(name) for name in base.names if name in sizes}
     displacements = {name: one.displacement for name, one in outside.causes.items()} | displacements
     evidence = session_evidence(
         base,
@@ -262,7 +264,7 @@ def diagnose_session(
         gains = expected_gains(
             model.fitting,
             base,
-            {**dict.fromkeys(usual.names, usual), **fits},
+            {**dict.fromkeys(base.names, base), **fits},
             considered,
             systems,
             evidence.chances,
@@ -394,8 +396,8 @@ def _report(
         explained=evidence.left <= found.weights.strange,
         settings=settings.verdict,
     )
-    if verdict.effect == UNKNOWN and found.resized:
-        verdict = replace(verdict, reason=_RESIZED)
+    if verdict.effect == UNKNOWN:
+        verdict = replace(verdict, reason=_RESIZED if found.resized else _LACKING)
     verdict = _of_class(verdict, evidence.chances, classes, settings)
     if unseen:
         # Whatever they do is in the base model already.

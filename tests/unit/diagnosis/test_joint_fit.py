@@ -142,7 +142,8 @@ def curled() -> tuple[JointFitting, JointFit, Effect]:
     material = np.array([400.0, 2e-3, 2e-4])
     curl = CATALOGUE["rest_curvature"]({"axis_0": CURL})
     clips = [joint_clip(*clip(wind, (curl,), material=material), FRAMES) for wind in WINDS]
-    settings = JointFitSettings(passes=12)
+    # So few that only what begins near arrives.
+    settings = JointFitSettings(passes=2)
     soft = JointFitting(clips, material, np.array([0.0, 0.0, -5.0]), settings).start_fit()
     return JointFitting(clips, material, np.zeros(3), settings), soft, CATALOGUE["rest_curvature"]()
 
@@ -409,7 +410,7 @@ class TestLostStiffness:
         fitting, soft, curvature = curled
         from_there = fitting.fitted((curvature,), soft)
         found = fitting.fitted_hypothesis(curvature, soft)
-        assert found.misfit <= from_there.misfit
+        assert found.misfit < 0.1 * from_there.misfit
         assert found.values[2] == pytest.approx(0.0, abs=0.3)
         assert float(found.effects[0][0].value("axis_0")) == pytest.approx(CURL, rel=0.2)
         assert found.n_usual == 0
