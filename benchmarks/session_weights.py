@@ -58,12 +58,12 @@ SINCE = RESULTS / "session_evidence_since.csv"
 """The same of later sets, with what was judged beside free forces."""
 OUTSIDE_SET = RESULTS / "session_evidence_outside.csv"
 """That of the set that asked for causes from outside the catalogue."""
-SIZES_SEEN = RESULTS / "apparent_size.csv"
-"""By how much sides seem to change, by session: benchmarks/apparent_size.py."""
+SIZES_SEEN = RESULTS / "holders.csv"
+"""By how much sides seem to change, by session: benchmarks/holders.py."""
 NEVER_LEARNT_FROM = "mujoco"
 """An engine for sealed sets alone."""
-FIXED = tuple(f.name for f in fields(SessionWeights) if f.name.startswith(("outside_", "resiz")))
-"""Learnt elsewhere: benchmarks/outside_causes.py, apparent_size.py."""
+FIXED = tuple(f.name for f in fields(SessionWeights) if f.name.startswith(("outside_", "resiz", "slip_")))
+"""Learnt elsewhere: benchmarks/outside_causes.py, holders.py."""
 RIVALS = (1e9, 32.0, 16.0, 8.0, 4.0)
 """Values of ``rivals`` among which one is chosen [nats]; with the first the law is not asked."""
 _EQUAL = 0.01
@@ -258,11 +258,11 @@ def write(cases: Mapping[str, Sequence[SessionCase]]) -> None:
         "",
         "Made by `python benchmarks/session_weights.py` from `session_evidence.csv` (`make session-ladder`), "
         "`session_evidence_graded.csv`, `session_evidence_since.csv` and `session_evidence_outside.csv` "
-        f"(sealed sets after grading, sessions of development), and `apparent_size.csv`: {len(everything)} "
+        f"(sealed sets after grading, sessions of development), and `holders.csv`: {len(everything)} "
         f"cases of {n} generated sessions of {len(teaching)} engines, open labels. Development data, no "
         "blind check; `strange` and `strangeness` are set by hand, weights of causes from outside in "
         "[outside_causes.md](outside_causes.md), of the apparent size in "
-        "[apparent_size.md](apparent_size.md).",
+        "[holders.md](holders.md).",
         "",
         "## An engine that taught nothing",
         "",

@@ -42,7 +42,7 @@ class SlipSettings:
         memory: times over which those last [s].
         along: by which factor errors along the rays are larger.
         independent: errors that every frame makes on its own, across the rays [m].
-        jump: deviations of its errors by which the tracker jumps.
+        jump: deviations of its errors by which the tracker jumps; 0: positions do not jump.
         well_tracked: error [m] from which on jumps grow with its square, as a tracker that follows badly
             loses its hold altogether.
         farthest: jumps at most [m].
@@ -62,7 +62,7 @@ class SlipSettings:
     memory: Annotated[tuple[Positive, ...], Field(min_length=1), Unit("s")] = (0.1, 0.5)
     along: Annotated[float, Field(ge=1, allow_inf_nan=False)] = 5.0
     independent: Annotated[Positive, Unit("m")] = 0.0005
-    jump: Positive = 2.5
+    jump: NonNegative = 2.5
     well_tracked: Annotated[Positive, Unit("m")] = 0.0015
     farthest: Annotated[Positive, Unit("m")] = 0.04
     sway: Annotated[tuple[NonNegative, ...], Field(min_length=1), Unit("m")] = (0.0, 0.006, 0.02, 0.04)
@@ -98,6 +98,11 @@ class SlipFit:
     start: float
     duration: float
 
+    @staticmethod
+    def nothing_known() -> SlipFit:
+        """What is known before anything is seen."""
+        return SlipFit(0.0, np.zeros(3), np.eye(3), 0, 0.0, 0.1)
+
 
 def slip_evidence(
     effect: AnchorSlip,
@@ -116,7 +121,7 @@ def slip_evidence(
 
     Args:
         effect: gives the prior deviations of the displacement; its vertex, start and duration do not matter.
-        positions: tracked pinned positions (F, n_pinned, 3) [m] in the camera's frame.
+        positions: of the pinned vertices as they were found (F, n_pinned, 3) [m] in the camera's frame.
         fps: frames per second.
         pull: direction (n_pinned, 3) in which the cloth pulls at each of them; an attachment only gives way
             to it. None if unknown.
@@ -144,7 +149,7 @@ def slip_evidence(
     settings = settings.at(fps)
     ramps = _ramps(F, fps, settings)
     if n < 2 or not ramps:
-        return SlipFit(0.0, np.zeros(3), np.eye(3), 0, 0.0, 0.1)
+        return SlipFit.nothing_known()
     scales = effect.scales.numpy()
     shapes = np.stack([_ramp(F, fps, *ramp)[settings.first_frames :] for ramp in ramps])
     solved = [_solved(positions, i, fps, shapes, settings) for i in range(n if n > 2 else 1)]
@@ -184,13 +189,13 @@ class _Solved:
         null: log-likelihood without a ramp (h,).
         slope: of the log-likelihood by the displacement (h, k, 3) [1/m].
         information: about it (h, k, 3, 3) [1/m²].
-        jumps: covariance of the tracker's own jumps (h, 3, 3) [m²].
+        jumps: covariance of the tracker's own jumps (h, 3, 3) [m²]; None where it has none.
     """
 
     null: Array
     slope: Array
     information: Array
-    jumps: Array
+    jumps: Array | None
 
     def mirrored(self) -> _Solved:
         """The same for the other of two vertices."""
@@ -226,7 +231,8 @@ def _solved(positions: Array, vertex: int, fps: float, shapes: Array, settings: 
         information.append(np.einsum("ska,skb->kab", blocks, solved))
         jump = min(s.jump * across * max(1.0, across / s.well_tracked), s.farthest)
         jumps.append(jump**2 * errors)
-    return _Solved(np.array(null), np.array(slope), np.array(information), np.array(jumps))
+    own = np.array(jumps) if s.jump else None
+    return _Solved(np.array(null), np.array(slope), np.array(information), own)
 
 
 def _gains(solved: _Solved, roots: Array) -> tuple[Array, Array, Array]:
@@ -241,9 +247,11 @@ def _gains(solved: _Solved, roots: Array) -> tuple[Array, Array, Array]:
 def _judged(solved: _Solved, scales: Array, pull: Array | None) -> tuple[Array, Array, Array]:
     """Of every ramp: log evidence (k,), mean (k, 3), covariance (k, 3, 3) of the displacement in scales."""
     n_sizes, n_ramps = solved.slope.shape[:2]
-    jumped, _, _ = _gains(solved, np.asarray(np.linalg.cholesky(solved.jumps), np.float64))
-    jumped = logsumexp(jumped, axis=1) - np.log(n_ramps)
-    null = solved.null + np.logaddexp(0.0, jumped) - np.log(2)
+    null = solved.null
+    if solved.jumps is not None:
+        jumped, _, _ = _gains(solved, np.asarray(np.linalg.cholesky(solved.jumps), np.float64))
+        jumped = logsumexp(jumped, axis=1) - np.log(n_ramps)
+        null = null + np.logaddexp(0.0, jumped) - np.log(2)
     gain, m, V = _gains(solved, np.broadcast_to(np.diag(scales), (n_sizes, 3, 3)))
     if pull is not None:
         # Half of all directions are open to an attachment that gives way.

@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from toile.diagnosis.session_stages import SeenClip
 from toile.generation.clip_plan import MOTIONS
 from toile.scenes.session import SessionClip
+
+Array = NDArray[np.float64]
 
 _MOVED = 0.01
 """Share of the cloth's width by which what holds it moves where somebody moves it."""
@@ -24,11 +27,19 @@ def unknown_motions(clips: Sequence[SessionClip]) -> list[str]:
     ]
 
 
-def moved_holders(clips: Sequence[SessionClip], seen: Sequence[SeenClip]) -> list[str]:
-    """One sentence for every clip whose pinned vertices move although nobody is said to have moved them."""
+def moved_holders(
+    clips: Sequence[SessionClip], seen: Sequence[SeenClip], motion: Sequence[Array]
+) -> list[str]:
+    """One sentence for every clip whose pinned vertices move although nobody is said to have moved them.
+
+    Args:
+        clips: as their session says.
+        seen: the same after tracking.
+        motion: of each, refined by the base model (F, N, 3) [m].
+    """
     found = []
-    for clip, tracked in zip(clips, seen, strict=True):
-        away = holders_away(tracked)
+    for clip, tracked, positions in zip(clips, seen, motion, strict=True):
+        away = holders_away(tracked, positions)
         width = tracked.problem.scene.cloth_size[0]
         if tracked.held_still and away > _MOVED * width:
             found.append(
@@ -39,15 +50,19 @@ def moved_holders(clips: Sequence[SessionClip], seen: Sequence[SeenClip]) -> lis
     return found
 
 
-def holders_away(clip: SeenClip) -> float:
+def holders_away(clip: SeenClip, positions: Array) -> float:
     """Distance of the pinned vertex that moves farthest from where the template has it, median frame [m].
 
-    Across the line of sight: along it tracking errs by as much where nothing moves.
+    Across the line of sight: along it images know little.
+
+    Args:
+        clip: see SeenClip.
+        positions: its motion (F, N, 3) [m].
     """
     scene = clip.problem.scene
     pinned = list(scene.pinned_vertices)
     at = scene.template.reshape(-1, 3)[pinned].numpy().astype(np.float64)
-    away = clip.tracked.positions[: clip.n_frames, pinned] - at
+    away = positions[:, pinned] - at
     ray = at / np.linalg.norm(at, axis=-1, keepdims=True)
     across = away - (away * ray).sum(-1, keepdims=True) * ray
     return float(np.median(np.linalg.norm(across, axis=-1), axis=0).max(initial=0.0))

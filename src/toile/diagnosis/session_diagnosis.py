@@ -24,6 +24,7 @@ from toile.diagnosis.effect_size import Displacement, displacement
 from toile.diagnosis.findings import estimates, finding
 from toile.diagnosis.fingerprint import fingerprint
 from toile.diagnosis.gap_maps import stage_shares
+from toile.diagnosis.holder_slips import with_slips
 from toile.diagnosis.joint_fit import JointFit
 from toile.diagnosis.learned.decision import WEIGHTS, LearnedDecision
 from toile.diagnosis.learned.features import clip_features
@@ -163,12 +164,6 @@ def diagnose_session(
     motions = [clip.motion for clip in session.clips]
     remarkable = _said(unknown_motions(session.clips))
     clips = seen_clips(problems, devices, pipeline, progress, motions)
-    remarkable += _said(moved_holders(session.clips, clips))
-    changes = {
-        of.folder.name: change
-        for of, clip in zip(session.clips, clips, strict=True)
-        if (change := change_of_size(clip)) is not None
-    }
 
     made_from = {
         f"clip {k}.{key}": value for k, p in enumerate(problems) for key, value in p.made_from.items()
@@ -178,11 +173,20 @@ def diagnose_session(
     made_from |= {"stiffness": fingerprint(settings.stiffness), "shooting": fingerprint(settings.shooting)}
     refining = refining_stage(clips, together, settings.stiffness, made_from, workers)
     motion = pipeline.run(refining, *(clip.tracked for clip in clips))
+    weights = SessionWeights.load().of_clips(len(clips))
+    changes = {
+        of.folder.name: change
+        for of, clip, positions in zip(session.clips, clips, motion.positions, strict=True)
+        if (change := change_of_size(clip, positions)) is not None
+    }
+    resized = {name: change for name, change in changes.items() if abs(change) > weights.resized}
+    if not resized:
+        # Holders go with a cloth that seems to change its size.
+        remarkable += _said(moved_holders(session.clips, clips, motion.positions))
     model = SessionModel(clips, motion, together, settings.stiffness)
     stages = HypothesisStages(model, progress, made_from, workers)
     plain = pipeline.run(stages.plain(0.5), motion)
     base = pipeline.run(stages.usual(0.53), motion, plain)
-    weights = SessionWeights.load().of_clips(len(clips))
     if any(effect.NAME == Contact.NAME for effect in effects):
         # It is known what the cloth may touch.
         weights = replace(weights, searched=0.0)
@@ -220,7 +224,9 @@ def diagnose_session(
 
     progress("what the clips say together", 0.88)
     calibration = Calibration.load(None if settings.calibration is None else Path(settings.calibration))
-    of_images = [clip.seen.findings for clip in clips]
+    # A motion that is left as tracked errs as tracking does.
+    slips = together.slip if together.refining.rounds else settings.attachment_slip
+    of_images = with_slips(clips, motion.positions, effects, slips, resized=bool(resized))
     learned = learned_chances(clips, motion)
     fitting = model.fitting
     # How far causes from outside move the cloth is known where they were judged.
@@ -306,7 +312,7 @@ def diagnose_session(
         displacements,
         second,
         unnamed,
-        {name: change for name, change in changes.items() if abs(change) > weights.resized},
+        resized,
     )
     report = _report(found, effects, settings, together, calibration, session, folder)
     return replace(report, warnings=tuple(remarkable))

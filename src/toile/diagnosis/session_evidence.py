@@ -15,6 +15,7 @@ from toile.diagnosis.joint_fit import JointFit
 from toile.diagnosis.model_errors import ModelErrors
 from toile.diagnosis.outside_causes import OutsideCause
 from toile.diagnosis.session_weights import MotionEvidence, SessionWeights
+from toile.effects.anchor_slip import AnchorSlip
 from toile.effects.base import Effect, Scope
 from toile.effects.catalogue import PUSHING, STAND_INS
 
@@ -70,7 +71,7 @@ def session_evidence(
         fits: of effects that move the cloth and of stand-ins, by name; of its own ones the base model's
             itself.
         effects: all candidates.
-        of_images: findings of every clip without a model of the motion, by name.
+        of_images: findings of every clip from its images and the paths of its holders, by name.
         errors: of the base model.
         calibration: of the images' findings.
         learned: probabilities of the learned decision by label, None where there is none.
@@ -98,7 +99,10 @@ def session_evidence(
     logits = motion.logits(weights)
     none = logits[NONE]
     for name, found in findings.items():
-        if name not in fits:
+        if name == AnchorSlip.NAME:
+            # By refined paths, for which single clips have taught nothing.
+            logits[name] = none + (found.log_evidence - weights.slip_threshold) / weights.slip_temperature
+        elif name not in fits:
             score = calibration.score(name, found.log_evidence)
             logits[name] = none + (score - calibration.threshold) / calibration.temperature
     for name, fit in fits.items():

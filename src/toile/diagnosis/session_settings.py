@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from toile.diagnosis.attachment_slip import SlipSettings
 from toile.diagnosis.joint_fit import JointFitSettings
 from toile.diagnosis.softened import ModelError
 from toile.diagnosis.touched_obstacles import TouchedSettings
@@ -65,6 +66,11 @@ class FreedSettings:
     passes: Count = 6
 
 
+def _refined_slip() -> SlipSettings:
+    """Pinned vertices of a refined motion: errors are small, of every frame anew, and there are no jumps."""
+    return SlipSettings(across=(0.0005, 0.001, 0.002, 0.004), memory=(0.02, 0.1), jump=0.0, offset=0.004)
+
+
 @dataclass(frozen=True)
 class SessionSettings:
     """How the clips of one cloth are diagnosed together.
@@ -87,6 +93,8 @@ class SessionSettings:
         refining: see RefiningSettings.
         model_error: see ModelError; its share is where the search for it begins.
         error_rounds: fits of the base model in which that share is found; 0 leaves it as it is.
+        slip: what pinned vertices do without slipping, in the motion that the base model has refined, and
+            how slips look.
         touched: how obstacles that nobody knows of are looked for; None: they are not, and ``contact`` is a
             candidate only where it was given with its obstacle.
         stand_ins: hypotheses for what the catalogue lacks; what speaks for them speaks for ``unknown``.
@@ -120,6 +128,7 @@ class SessionSettings:
     refining: RefiningSettings = field(default_factory=RefiningSettings)
     model_error: ModelError = field(default_factory=ModelError)
     error_rounds: CountOrZero = 3
+    slip: SlipSettings = field(default_factory=_refined_slip)
     touched: TouchedSettings | None = field(default_factory=TouchedSettings)
     stand_ins: StandIns = ("steady_forces", "rest_length_drift")
     usual: Usual = ("internal_damping",)

@@ -92,6 +92,9 @@ class SessionWeights:
         resized: share by which the sides of a cloth seem to change (apparent_size) where something unknown
             and all else are equally probable.
         resizing: e-folds of the odds of something unknown for each logarithm beyond that.
+        slip_threshold: evidence at which a slip and none are equally probable, by the refined paths of what
+            holds the cloth (holder_slips) [nats].
+        slip_temperature: evidence by which its odds grow e-fold [nats].
     """
 
     usual_size: float = 0.019
@@ -114,6 +117,8 @@ class SessionWeights:
     strangeness: float = 4.0
     resized: float = 0.025
     resizing: float = 4.0
+    slip_threshold: float = 10.0
+    slip_temperature: float = 2.0
 
     @staticmethod
     def load(path: Path = SHIPPED) -> SessionWeights:

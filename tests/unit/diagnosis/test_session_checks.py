@@ -16,8 +16,8 @@ from toile.scenes.session import SessionClip
 WIDTH, FRAMES = 0.5, 20
 
 
-def seen(moved: np.ndarray, *, still: bool = True) -> Any:
-    """A clip whose second corner was tracked ``moved`` (F, 3) [m] away from where the template has it."""
+def seen(moved: np.ndarray, *, still: bool = True) -> tuple[Any, np.ndarray]:
+    """A clip and its motion, the second corner ``moved`` (F, 3) [m] away from where the template has it."""
     template = np.array([[[0.1, 0.0, 1.0], [0.1, 0.5, 1.0]], [[0.6, 0.0, 1.0], [0.6, 0.5, 1.0]]])
     positions = np.tile(template.reshape(1, 4, 3), (FRAMES, 1, 1))
     positions[:, 2] += moved
@@ -26,34 +26,31 @@ def seen(moved: np.ndarray, *, still: bool = True) -> Any:
     scene = SimpleNamespace(
         template=torch.from_numpy(template), pinned_vertices=[0, 2], cloth_size=(WIDTH, WIDTH)
     )
-    return SimpleNamespace(
-        problem=SimpleNamespace(scene=scene),
-        tracked=SimpleNamespace(positions=positions),
-        n_frames=FRAMES,
-        held_still=still,
-    )
+    return SimpleNamespace(problem=SimpleNamespace(scene=scene), held_still=still), positions
 
 
-RELEASE = (SessionClip(Path("first"), "release"),)
+def said_of(motion: str, clip: Any, positions: np.ndarray) -> list[str]:
+    """What is said of a session of this clip alone."""
+    return moved_holders([SessionClip(Path("first"), motion)], [clip], [positions])
 
 
 def test_holders_that_move_although_nobody_moved_them_are_said() -> None:
     swayed = np.outer(0.04 * np.sin(np.arange(FRAMES) / 3), [0.0, 1.0, 0.0])
-    (said,) = moved_holders(RELEASE, [seen(swayed)])
+    (said,) = said_of("release", *seen(swayed))
     assert said.startswith("first: what holds the cloth moves by 27 mm")
     assert "'release'" in said
     # Where somebody is said to move them, that is as it should be.
-    assert moved_holders([SessionClip(Path("first"), "sway")], [seen(swayed, still=False)]) == []
+    assert said_of("sway", *seen(swayed, still=False)) == []
 
 
-def test_errors_of_tracking_are_no_motion_of_the_holders() -> None:
+def test_errors_of_the_motion_that_is_found_are_no_motion_of_the_holders() -> None:
     rng = np.random.default_rng(0)
     ray = np.array([0.6, 0.0, 1.0]) / np.hypot(0.6, 1.0)
     # Along the line of sight images say little; a few frames may be lost.
     errors = 0.03 * np.outer(rng.standard_normal(FRAMES), ray) + 0.001 * rng.standard_normal((FRAMES, 3))
     errors[:3] += 0.1
-    assert holders_away(seen(errors)) < 0.005
-    assert moved_holders(RELEASE, [seen(errors)]) == []
+    assert holders_away(*seen(errors)) < 0.005
+    assert said_of("release", *seen(errors)) == []
 
 
 @pytest.mark.parametrize(("motion", "known"), [("", True), ("fan_off", True), ("fan-off", False)])

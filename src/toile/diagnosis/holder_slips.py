@@ -1,0 +1,73 @@
+"""Slips of what holds the cloth, in the motion that the base model has refined.
+
+Tracking has free forces, so that its pinned vertices go astray by centimetres where the images say little,
+and jump. Under the laws of motion a cloth that swings shows where it hangs from: refined, they are a
+millimetre or two off across the line of sight, from frame to frame anew, and do not jump. And where nobody
+moved what holds the cloth, no hands sway.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toile.diagnosis.attachment_slip import SlipFit, SlipSettings, slip_evidence
+from toile.diagnosis.findings import Finding, finding
+from toile.diagnosis.session_stages import SeenClip
+from toile.effects.anchor_slip import AnchorSlip
+from toile.effects.base import Effect
+from toile.scenes.scene import Scene
+
+Array = NDArray[np.float64]
+
+
+def with_slips(
+    clips: Sequence[SeenClip],
+    motion: Sequence[Array],
+    effects: Sequence[Effect],
+    settings: SlipSettings,
+    *,
+    resized: bool = False,
+) -> list[dict[str, Finding]]:
+    """What the images of every clip say, and of slips what its refined motion says.
+
+    Args:
+        clips: see SeenClip.
+        motion: of each, refined by the base model (F, N, 3) [m].
+        effects: candidates; a slip may be among them.
+        settings: of what pinned vertices do in a refined motion.
+        resized: whether the cloth seems to become smaller or larger: its holders go with it in the motion,
+            so that nothing is known of slips.
+    """
+    slips = [effect for effect in effects if isinstance(effect, AnchorSlip)]
+    found = []
+    for clip, positions in zip(clips, motion, strict=True):
+        own: Mapping[str, Finding] = clip.seen.findings
+        for effect in slips:
+            fit = slip_of(clip.problem.scene, positions, effect, settings, held_still=clip.held_still)
+            fit = SlipFit.nothing_known() if resized else fit
+            own = {**own, effect.NAME: finding(effect, fit.log_evidence, fit.mean, fit.covariance)}
+        found.append(dict(own))
+    return found
+
+
+def slip_of(
+    scene: Scene, positions: Array, effect: AnchorSlip, settings: SlipSettings, *, held_still: bool
+) -> SlipFit:
+    """Evidence that a pinned vertex slips in a clip.
+
+    Args:
+        scene: the clip.
+        positions: its motion, refined by the base model (F, N, 3) [m].
+        effect: see slip_evidence.
+        settings: of what pinned vertices do in a refined motion.
+        held_still: whether nobody moved them.
+    """
+    if held_still:
+        settings = replace(settings, sway=(0.0,), share=0.0)
+    pinned = list(scene.pinned_vertices)
+    pull = positions[0].mean(0) - positions[0][pinned]
+    return slip_evidence(effect, positions[:, pinned], scene.fps, pull, settings)
