@@ -6,6 +6,7 @@ import contextlib
 import logging
 import shutil
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -16,6 +17,7 @@ from hydra import compose, initialize_config_dir
 from toile.cli.configuration import CONF, register_resolvers
 from toile.cli.diagnose import SessionProblem, _problem, diagnose_scene, diagnose_session_folder
 from toile.cli.main import main
+from toile.diagnosis import session_diagnosis
 from toile.diagnosis.arrays import HELD_OUT_FILE, SCREENING_FILE
 from toile.diagnosis.record import DIAGNOSIS_FILE, GapReport
 from toile.diagnosis.stage_store import StageStore
@@ -371,7 +373,11 @@ def two_clips(clip: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("searched", [True, False])
 def test_clips_of_a_session_have_one_answer(
-    searched: bool, two_clips: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    searched: bool,
+    two_clips: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     small = (
         *(() if searched else ("session_model.touched=null", "session_model.stand_ins=[]")),
@@ -414,8 +420,27 @@ def test_clips_of_a_session_have_one_answer(
     assert warning in (tmp_path / "index.html").read_text().replace("&#39;", "'")
     answer = (tmp_path / DIAGNOSIS_FILE).read_bytes()
     (tmp_path / DIAGNOSIS_FILE).unlink()
+    judged: dict[str, list[np.ndarray]] = {}
+
+    def noted(name: str, place: int) -> None:
+        judge = getattr(session_diagnosis, name)
+
+        def judging(*given: Any, **settings: Any) -> Any:
+            judged.setdefault(name, []).append(given[place])
+            return judge(*given, **settings)
+
+        monkeypatch.setattr(session_diagnosis, name, judging)
+
+    for name, place in (("with_slips", 1), ("moved_holders", 2), ("change_of_size", 1)):
+        noted(name, place)
     diagnose_session_folder(two_clips, tmp_path, (*SMALL_SESSION, *small))
     assert (tmp_path / DIAGNOSIS_FILE).read_bytes() == answer
+    # What holds the cloth is judged by the motion that the base model has refined, of every clip.
+    (slips,), (moved,), sizes = judged["with_slips"], judged["moved_holders"], judged["change_of_size"]
+    with np.load(tmp_path / "refined.npz") as arrays:
+        for k, of_clip in enumerate(zip(slips, moved, sizes, strict=True)):
+            for positions in of_clip:
+                np.testing.assert_array_equal(positions, arrays[f"positions.{k}"])
     times = read_times(tmp_path / TIMES_FILE)
     assert all(stage.cached for stage in times.values())
 
