@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from toile.diagnosis.attachment_slip import SlipFit, SlipSettings, slip_evidence
 from toile.diagnosis.findings import Finding, finding
+from toile.diagnosis.session_checks import stand_still
 from toile.diagnosis.session_stages import SeenClip
 from toile.effects.anchor_slip import AnchorSlip
 from toile.effects.base import Effect
@@ -47,7 +48,8 @@ def with_slips(
     for clip, positions in zip(clips, motion, strict=True):
         own: Mapping[str, Finding] = clip.seen.findings
         for effect in slips:
-            fit = slip_of(clip.problem.scene, positions, effect, settings, held_still=clip.held_still)
+            still = stand_still(clip, positions)
+            fit = slip_of(clip.problem.scene, positions, effect, settings, held_still=still)
             fit = SlipFit.nothing_known() if resized else fit
             own = {**own, effect.NAME: finding(effect, fit.log_evidence, fit.mean, fit.covariance)}
         found.append(dict(own))

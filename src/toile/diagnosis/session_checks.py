@@ -39,9 +39,8 @@ def moved_holders(
     """
     found = []
     for clip, tracked, positions in zip(clips, seen, motion, strict=True):
-        away = holders_away(tracked, positions)
-        width = tracked.problem.scene.cloth_size[0]
-        if tracked.held_still and away > _MOVED * width:
+        away = holders_away(tracked, positions).max(initial=0.0)
+        if tracked.held_still and away > _MOVED * tracked.problem.scene.cloth_size[0]:
             found.append(
                 f"{clip.folder.name}: what holds the cloth moves by {1e3 * away:.0f} mm, although nobody "
                 f"moved it in a clip of motion '{clip.motion}': it slips, or another motion was recorded "
@@ -50,8 +49,21 @@ def moved_holders(
     return found
 
 
-def holders_away(clip: SeenClip, positions: Array) -> float:
-    """Distance of the pinned vertex that moves farthest from where the template has it, median frame [m].
+def stand_still(clip: SeenClip, positions: Array) -> bool:
+    """Whether nobody is said to have moved the pinned vertices, and not all of them have moved.
+
+    One that slips moves alone; where all do, another motion was recorded.
+
+    Args:
+        clip: see SeenClip.
+        positions: its motion, refined by the base model (F, N, 3) [m].
+    """
+    least = holders_away(clip, positions).min(initial=np.inf)
+    return clip.held_still and bool(least <= _MOVED * clip.problem.scene.cloth_size[0])
+
+
+def holders_away(clip: SeenClip, positions: Array) -> Array:
+    """Distances (P,) of the pinned vertices from where the template has them, median frame [m].
 
     Across the line of sight: along it images know little.
 
@@ -65,4 +77,4 @@ def holders_away(clip: SeenClip, positions: Array) -> float:
     away = positions[:, pinned] - at
     ray = at / np.linalg.norm(at, axis=-1, keepdims=True)
     across = away - (away * ray).sum(-1, keepdims=True) * ray
-    return float(np.median(np.linalg.norm(across, axis=-1), axis=0).max(initial=0.0))
+    return np.asarray(np.median(np.linalg.norm(across, axis=-1), axis=0))

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from numpy.typing import NDArray
 
 from toile.diagnosis.attachment_slip import SlipFit, SlipSettings
@@ -25,7 +26,9 @@ Array = NDArray[np.float64]
 FPS, FRAMES = 50.0, 80
 # Two held corners, and one that hangs.
 TEMPLATE = np.array([[-0.25, -0.2, 1.2], [0.25, -0.2, 1.3], [0.0, 0.3, 1.2]])
-SCENE: Any = SimpleNamespace(pinned_vertices=[0, 1], fps=FPS)
+SCENE: Any = SimpleNamespace(
+    pinned_vertices=[0, 1], fps=FPS, template=torch.from_numpy(TEMPLATE), cloth_size=(0.5, 0.5)
+)
 TIMES = np.arange(FRAMES) / FPS
 SETTINGS = SessionSettings().slip
 
@@ -96,6 +99,17 @@ def test_the_refined_path_takes_the_place_of_the_tracked_one() -> None:
     # No candidate, no finding of its own.
     (as_seen,) = with_slips(clips[:1], paths[:1], [MotionBlur()], SETTINGS)
     assert as_seen == clips[0].seen.findings
+
+
+def test_hands_that_hold_the_cloth_whatever_the_session_says_may_sway() -> None:
+    """A recording of another motion is no slip."""
+    path = motion(np.random.default_rng(3), slip=0.015)
+    path[:, :2] += 0.03 * np.sin(2 * np.pi * TIMES)[:, None, None] * np.array([0.0, 0.6, 0.0])
+    (said_still,), (moved,) = (
+        with_slips([clip(held)], [path], [AnchorSlip()], SETTINGS) for held in (True, False)
+    )
+    assert said_still["anchor_slip"].log_evidence == moved["anchor_slip"].log_evidence
+    assert slip_in(path).log_evidence > said_still["anchor_slip"].log_evidence + 5
 
 
 def test_nothing_is_known_of_slips_where_the_cloth_seems_to_change_its_size() -> None:
