@@ -420,13 +420,14 @@ def test_clips_of_a_session_have_one_answer(
     assert warning in (tmp_path / "index.html").read_text().replace("&#39;", "'")
     answer = (tmp_path / DIAGNOSIS_FILE).read_bytes()
     (tmp_path / DIAGNOSIS_FILE).unlink()
-    judged: dict[str, list[np.ndarray]] = {}
+    judged: dict[str, list[Any]] = {}
 
     def noted(name: str, place: int) -> None:
         judge = getattr(session_diagnosis, name)
 
         def judging(*given: Any, **settings: Any) -> Any:
             judged.setdefault(name, []).append(given[place])
+            judged.setdefault(f"{name}, settings", []).append(settings)
             return judge(*given, **settings)
 
         monkeypatch.setattr(session_diagnosis, name, judging)
@@ -441,6 +442,16 @@ def test_clips_of_a_session_have_one_answer(
         for k, of_clip in enumerate(zip(slips, moved, sizes, strict=True)):
             for positions in of_clip:
                 np.testing.assert_array_equal(positions, arrays[f"positions.{k}"])
+    # Where the size seems to change, holders have gone with the cloth: neither slips nor moved ones are said.
+    monkeypatch.setattr(session_diagnosis, "change_of_size", lambda clip, positions: -0.05)
+    (tmp_path / DIAGNOSIS_FILE).unlink()
+    diagnose_session_folder(two_clips, tmp_path, (*SMALL_SESSION, *small))
+    again = GapReport.read(tmp_path / DIAGNOSIS_FILE)
+    assert again.session is not None
+    assert again.session.resized == {"first": -0.05, "second": -0.05}
+    assert again.verdict.effect == "unknown"
+    assert judged["with_slips, settings"] == [{"resized": False}, {"resized": True}]
+    assert len(judged["moved_holders"]) == 1
     times = read_times(tmp_path / TIMES_FILE)
     assert all(stage.cached for stage in times.values())
 
