@@ -81,6 +81,19 @@ DEFAULT = SlipSettings()
 
 
 @dataclass(frozen=True)
+class RefinedSlipSettings(SlipSettings):
+    """The same in a motion that a model of the cloth has refined.
+
+    Errors are small and of every frame anew, and positions do not jump.
+    """
+
+    across: Annotated[tuple[Positive, ...], Field(min_length=1), Unit("m")] = (0.0005, 0.001, 0.002, 0.004)
+    memory: Annotated[tuple[Positive, ...], Field(min_length=1), Unit("s")] = (0.02, 0.1)
+    jump: NonNegative = 0.0
+    offset: Annotated[NonNegative, Unit("m")] = 0.004
+
+
+@dataclass(frozen=True)
 class SlipFit:
     """How well a slip explains the paths of the pinned vertices.
 

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from toile.diagnosis.attachment_slip import SlipSettings
+from toile.diagnosis.attachment_slip import RefinedSlipSettings, SlipSettings
 from toile.diagnosis.joint_fit import JointFitSettings
 from toile.diagnosis.softened import ModelError
 from toile.diagnosis.touched_obstacles import TouchedSettings
@@ -64,11 +64,6 @@ class FreedSettings:
     held: Annotated[Positive, Unit("m")] = 0.0003
     rounds: CountOrZero = 2
     passes: Count = 6
-
-
-def _refined_slip() -> SlipSettings:
-    """Pinned vertices of a refined motion: errors are small, of every frame anew, and there are no jumps."""
-    return SlipSettings(across=(0.0005, 0.001, 0.002, 0.004), memory=(0.02, 0.1), jump=0.0, offset=0.004)
 
 
 @dataclass(frozen=True)
@@ -128,7 +123,7 @@ class SessionSettings:
     refining: RefiningSettings = field(default_factory=RefiningSettings)
     model_error: ModelError = field(default_factory=ModelError)
     error_rounds: CountOrZero = 3
-    slip: SlipSettings = field(default_factory=_refined_slip)
+    slip: SlipSettings = field(default_factory=RefinedSlipSettings)
     touched: TouchedSettings | None = field(default_factory=TouchedSettings)
     stand_ins: StandIns = ("steady_forces", "rest_length_drift")
     usual: Usual = ("internal_damping",)
