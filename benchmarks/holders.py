@@ -25,7 +25,7 @@ from hydra import compose, initialize_config_dir
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import expit
-from session_ladder import BLENDER, cause_of, made
+from session_ladder import BLENDER, cause_of, made, refined
 from session_weights import NEVER_LEARNT_FROM
 
 from toile.atomic_file import write_text
@@ -33,14 +33,13 @@ from toile.cli.configuration import CONF, register_resolvers
 from toile.cli.diagnose import session_problem
 from toile.denormals import denormals_flushed
 from toile.diagnosis.apparent_size import change_in
-from toile.diagnosis.fingerprint import fingerprint
 from toile.diagnosis.holder_slips import slip_of
 from toile.diagnosis.pipeline import Pipeline
 from toile.diagnosis.planned_clip import HELD_STILL
 from toile.diagnosis.problem import DiagnosisProblem
 from toile.diagnosis.results import KINDS
 from toile.diagnosis.session_settings import SessionSettings
-from toile.diagnosis.session_stages import RefinedMotion, refining_stage, seen_clips
+from toile.diagnosis.session_stages import RefinedMotion, seen_clips
 from toile.diagnosis.session_weights import SHIPPED, SessionWeights, lapsed_loss
 from toile.diagnosis.stage_store import StageStore
 from toile.diagnosis.stage_times import StageTimes
@@ -50,7 +49,6 @@ from toile.generation.clip_plan import DEFAULT_CLIPS
 from toile.scenes.native import load_native
 from toile.scenes.scene import Scene
 from toile.scenes.session import load_session
-from toile.workers import ALONE
 
 Array = NDArray[np.float64]
 
@@ -98,10 +96,7 @@ def measured(folder: Path, out: Path) -> Seen:
     values = ValueStore((*KINDS, RefinedMotion), first.effects)
     pipeline = Pipeline(StageStore(out, values, StageTimes.going_on(out / "times.json")), _quietly)
     clips = seen_clips([problem], [0], pipeline, _quietly, [asked.session.clips[0].motion])
-    made_from = {"together": fingerprint(asked.together)}
-    stage = refining_stage(clips, asked.together, first.settings.stiffness, made_from, ALONE)
-    stage = replace(stage, file="refined_1.npz", name="refined motion of 1 clips")
-    motion = pipeline.run(stage, *(clip.tracked for clip in clips))
+    motion = refined(clips, asked.together, first.settings.stiffness, pipeline)
     return seen_in(problem.scene, motion.positions[0])
 
 
@@ -298,10 +293,9 @@ def main() -> None:
         table = added(table, pd.DataFrame(rows))
         write_text(TABLE, table.to_csv(index=False, float_format="%.4g"))
         table = pd.read_csv(TABLE)
-    weights = learnt(table[table["engine"] != NEVER_LEARNT_FROM])
-    shipped, source = with_weights(
-        json.loads(SHIPPED.read_text())["source"], weights, table[table["engine"] != NEVER_LEARNT_FROM]
-    )
+    teaching = table[table["engine"] != NEVER_LEARNT_FROM]
+    weights = learnt(teaching)
+    shipped, source = with_weights(json.loads(SHIPPED.read_text())["source"], weights, teaching)
     shipped.write(SHIPPED, source)
     text = page(table, weights)
     write_text(RESULTS / "holders.md", text)

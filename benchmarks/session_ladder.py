@@ -329,7 +329,16 @@ def _motion(
         return RefinedMotion(truth, None)
     if rung.startswith("tracked"):
         return RefinedMotion([clip.tracked.positions[: clip.n_frames] for clip in clips], None)
-    # Once for all rungs of a session.
+    return refined(clips, settings, stiffness, pipeline)
+
+
+def refined(
+    clips: list[SeenClip],
+    settings: SessionSettings,
+    stiffness: tuple[float, float, float],
+    pipeline: Pipeline,
+) -> RefinedMotion:
+    """The refined motion of so many clips of a session, once for all that ask for it."""
     stage = refining_stage(clips, settings, stiffness, {"together": fingerprint(settings)}, ALONE)
     stage = replace(stage, file=f"refined_{len(clips)}.npz", name=f"refined motion of {len(clips)} clips")
     return pipeline.run(stage, *(clip.tracked for clip in clips))

@@ -57,7 +57,7 @@ def test_slips_are_parted_from_the_rest_that_keeps_its_size(program: ModuleType)
     assert shown.loc[~resized, "slips"].notna().all()
 
 
-def test_larger_errors_of_tracking_ask_for_more(program: ModuleType) -> None:
+def test_larger_errors_of_the_motion_ask_for_more(program: ModuleType) -> None:
     careful, careless = (program.learnt(sessions(size, 6.0)) for size in (0.1, 1.5))
     assert careless.resized > careful.resized
 

@@ -48,9 +48,11 @@ def with_slips(
     for clip, positions in zip(clips, motion, strict=True):
         own: Mapping[str, Finding] = clip.seen.findings
         for effect in slips:
-            still = stand_still(clip, positions)
-            fit = slip_of(clip.problem.scene, positions, effect, settings, held_still=still)
-            fit = SlipFit.nothing_known() if resized else fit
+            if resized:
+                fit = SlipFit.nothing_known()
+            else:
+                still = stand_still(clip, positions)
+                fit = slip_of(clip.problem.scene, positions, effect, settings, held_still=still)
             own = {**own, effect.NAME: finding(effect, fit.log_evidence, fit.mean, fit.covariance)}
         found.append(dict(own))
     return found
