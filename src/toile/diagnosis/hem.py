@@ -46,13 +46,13 @@ def border_strip(around: Surroundings) -> Array:
     (H, W), (height, width) = cloth.grid, around.cloth_size
     density = float(cloth.masses.sum()) / (height * width)
     mass = np.zeros((H, W))
-    mass[:, [0, -1]] += density * height * _shares(H)[:, None]
-    mass[[0, -1]] += density * width * _shares(W)
+    places_0, places_1 = cloth.lines.places()
+    mass[:, [0, -1]] += density * height * _shares(places_0)[:, None]
+    mass[[0, -1]] += density * width * _shares(places_1)
     return mass.reshape(-1)
 
 
-def _shares(n: int) -> Array:
-    """Of a line's length that belong to each of n vertices along it."""
-    share = np.full(n, 1.0 / (n - 1))
-    share[[0, -1]] /= 2
-    return share
+def _shares(places: Tensor) -> Array:
+    """Of a line's length that belong to each of n vertices along it, at places from 0 to 1."""
+    half = np.diff(places.numpy()) / 2
+    return np.asarray(np.append(half, 0) + np.append(0, half))

@@ -172,7 +172,7 @@ def _best_placebo(
 ) -> float | None:
     """Best shrink among smooth static force fields, in either direction and of several sizes."""
     rng = np.random.default_rng(seed)
-    modes = cosine_modes(ours.shooting.grid, 2)
+    modes = cosine_modes(ours.shooting.simulator.cloth.lines, 2)
     best: float | None = None
     for _ in range(n):
         field = np.einsum("kc,kn->nc", rng.standard_normal((len(modes), 3)), modes) / len(modes) ** 0.5

@@ -65,7 +65,7 @@ def model_errors(
         error: as it is thought to be.
     """
     n = max(1, round(error.modes**0.5))
-    modes = cosine_modes(shooting.grid, n)
+    modes = cosine_modes(shooting.simulator.cloth.lines, n)
     fields = (modes[:, None, :, None] * np.eye(3)[None, :, None, :]).reshape(3 * len(modes), -1)
     step = shooting.substeps
     frames = np.concatenate([windows[0].positions[:1], *(w.positions[step::step] for w in windows)])

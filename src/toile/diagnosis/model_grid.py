@@ -12,6 +12,7 @@ from scipy.interpolate import CubicSpline
 
 from toile.physics.cloth import Cloth, grid_cloth
 from toile.physics.grid_laws import GridLaw
+from toile.physics.grid_lines import Crowding, GridLines
 from toile.physics.units import PAPER_TIME_STEP, NetworkUnits
 from toile.scenes.scene import Scene
 
@@ -43,9 +44,9 @@ class ModelGrid:
         return self.cloth.grid
 
 
-def spline_matrix(n: int, at: Array) -> Array:
-    """Values of the cubic spline through n evenly spaced values on [0, 1], (len(at), n)."""
-    return np.asarray(CubicSpline(np.linspace(0, 1, n), np.eye(n), axis=0)(at))
+def spline_matrix(places: Array, at: Array) -> Array:
+    """Values of the cubic spline through values at places (n,) on [0, 1], (len(at), n)."""
+    return np.asarray(CubicSpline(places, np.eye(len(places)), axis=0)(at))
 
 
 def model_grids(scene: Scene, fine: Cloth, sides: Sequence[int]) -> list[ModelGrid]:
@@ -54,7 +55,9 @@ def model_grids(scene: Scene, fine: Cloth, sides: Sequence[int]) -> list[ModelGr
     return [model_grid(scene, fine, side) for side in dict.fromkeys(min(side, whole) for side in sides)]
 
 
-def model_grid(scene: Scene, fine: Cloth, side: int | None, law: GridLaw | None = None) -> ModelGrid:
+def model_grid(
+    scene: Scene, fine: Cloth, side: int | None, law: GridLaw | None = None, crowding: Crowding = 0.0
+) -> ModelGrid:
     """A model of the scene's cloth with ``side`` vertices along each side; None for the scene's own grid.
 
     Rest lengths are arc lengths of the fine cloth at rest: a template that is not evenly spaced stays so.
@@ -64,12 +67,16 @@ def model_grid(scene: Scene, fine: Cloth, side: int | None, law: GridLaw | None 
         fine: the scene's cloth; areal density, rest lengths, law.
         side: vertices.
         law: None for the scene's cloth's.
+        crowding: of the model's lines towards the borders, see GridLines; a model on the scene's own grid has
+            its lines, which are even.
     """
     H, W = scene.grid
     h, w = (H, W) if side is None else (min(side, H), min(side, W))
-    u, v = np.linspace(0, 1, h), np.linspace(0, 1, w)
-    prolong = np.kron(spline_matrix(h, np.linspace(0, 1, H)), spline_matrix(w, np.linspace(0, 1, W)))
-    restrict = np.kron(spline_matrix(H, u), spline_matrix(W, v))
+    lines = GridLines.crowded(h, w, crowding if (h, w) != (H, W) else 0.0)
+    u, v = (places.numpy() for places in lines.places())
+    fine_u, fine_v = np.linspace(0, 1, H), np.linspace(0, 1, W)
+    prolong = np.kron(spline_matrix(u, fine_u), spline_matrix(v, fine_v))
+    restrict = np.kron(spline_matrix(fine_u, u), spline_matrix(fine_v, v))
     rest = fine.rest_lengths.numpy()
     first: Array
     second: Array
@@ -78,8 +85,8 @@ def model_grid(scene: Scene, fine: Cloth, side: int | None, law: GridLaw | None 
     size = float(first.sum(0).mean()), float(second.sum(1).mean())
     area = size[0] * size[1]
     density = float(fine.masses.sum()) / area
-    pinned = tuple(_nearest(int(k), (H, W), (h, w)) for k in fine.pinned)
-    cloth = grid_cloth((h, w), size, density, pinned, torch.from_numpy(lengths), law or fine.law)
+    pinned = tuple(_nearest(int(k), (H, W), (u, v)) for k in fine.pinned)
+    cloth = grid_cloth((h, w), size, density, pinned, torch.from_numpy(lengths), law or fine.law, lines)
     cell = area / ((h - 1) * (w - 1))
     units = NetworkUnits(density * cell, cell**0.5, PAPER_TIME_STEP)
     to_scene, to_model = np.asarray(prolong, np.float64), np.asarray(restrict, np.float64)
@@ -95,8 +102,8 @@ def _resample(steps: Array, along: Array, across: Array) -> Array:
     return np.diff(lines, axis=0)
 
 
-def _nearest(vertex: int, fine: tuple[int, int], coarse: tuple[int, int]) -> int:
-    i, j = divmod(vertex, fine[1])
-    a = round(i / (fine[0] - 1) * (coarse[0] - 1))
-    b = round(j / (fine[1] - 1) * (coarse[1] - 1))
-    return a * coarse[1] + b
+def _nearest(vertex: int, fine: tuple[int, int], coarse: tuple[Array, Array]) -> int:
+    """The vertex where the coarse lines come closest to a vertex of the fine, even grid."""
+    at = [k / (n - 1) for k, n in zip(divmod(vertex, fine[1]), fine, strict=True)]
+    a, b = (int(np.argmin(np.abs(places - k))) for places, k in zip(coarse, at, strict=True))
+    return a * len(coarse[1]) + b

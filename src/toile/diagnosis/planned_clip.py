@@ -96,7 +96,7 @@ def planned_clip(
     cloth, begin = old.simulator.cloth, old.tracked.positions[0]
     if done.turned:
         H, W = old.grid
-        if H != W:
+        if cloth.lines.along_0 != cloth.lines.along_1:
             raise SimulationError("a sheet that is not square on its grid is not turned")
         places = np.rot90(np.arange(H * W).reshape(H, W)).reshape(-1)
         begin, of_old = begin[places], np.argsort(places)

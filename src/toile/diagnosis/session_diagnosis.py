@@ -534,16 +534,20 @@ def _material(found: _Found) -> dict[str, float]:
 
 
 def _distances(found: _Found) -> list[Array]:
-    """Base model to tracked cloth, of every clip (F, h, w) [m]."""
+    """Base model to tracked cloth, of every clip on the scene's grid (F, H, W) [m]."""
     out = []
-    for clip, windows in zip(found.model.fitting.clips, found.base.windows, strict=True):
+    fitting, grids = found.model.fitting, found.model.grids
+    for clip, seen_clip, grid, windows in zip(
+        fitting.clips, found.model.clips, grids, found.base.windows, strict=True
+    ):
         shooting = clip.shooting
-        away = np.zeros(shooting.tracked.positions.shape[:2])
+        away = np.zeros((len(shooting.tracked.positions), len(grid.prolong)))
         for window in windows:
             frames = window.positions[:: shooting.substeps]
             seen = shooting.tracked.positions[window.first : window.last + 1]
-            away[window.first : window.last + 1] = np.linalg.norm(frames - seen, axis=-1)
-        out.append(away.reshape(-1, *shooting.grid))
+            between = np.einsum("vn,fnc->fvc", grid.prolong, frames - seen)
+            away[window.first : window.last + 1] = np.linalg.norm(between, axis=-1)
+        out.append(away.reshape(-1, *seen_clip.problem.scene.grid))
     return out
 
 

@@ -14,6 +14,7 @@ from toile.diagnosis.softened import ModelError
 from toile.diagnosis.touched_obstacles import TouchedSettings
 from toile.limits import Count, CountOrZero, Fraction, NonNegative, Positive, Seed, Unit
 from toile.physics.grid_laws import GridLaw, taut_fitted
+from toile.physics.grid_lines import Crowding
 
 Usual = Annotated[tuple[Literal["internal_damping"], ...], Field(max_length=1)]
 """Effects that a base model may have."""
@@ -73,6 +74,8 @@ class SessionSettings:
     Attributes:
         law: of the model's cloth, see physics.grid_laws.
         side: vertices along each side of the model, the scene's own at most.
+        crowding: by how much lines of its grid come closer towards the borders, see GridLines; 0 for evenly
+            spaced ones.
         longest_substep: of the model [s].
         window: length of the windows [s]. Short ones are nearly linear in what is unknown, so a fit arrives
             where with long ones it halts half-way.
@@ -110,7 +113,8 @@ class SessionSettings:
     """
 
     law: GridLaw = taut_fitted
-    side: Annotated[int, Field(ge=4), Unit("vertices")] = 14
+    side: Annotated[int, Field(ge=4), Unit("vertices")] = 16
+    crowding: Crowding = 0.5
     longest_substep: Annotated[Positive, Unit("s")] = 0.01
     window: Annotated[Positive, Unit("s")] = 0.04
     jump_position: Annotated[Positive, Unit("m")] = 0.0001

@@ -312,7 +312,7 @@ def with_error_found(
 def _grid(clip: SeenClip, settings: SessionSettings) -> ModelGrid:
     problem = clip.problem
     side = min(settings.side, *problem.scene.grid)
-    return model_grid(problem.scene, problem.reconstruction.cloth, side, settings.law)
+    return model_grid(problem.scene, problem.reconstruction.cloth, side, settings.law, settings.crowding)
 
 
 def _joint(

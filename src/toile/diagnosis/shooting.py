@@ -28,6 +28,7 @@ from toile.effects.base import Effect, Surroundings
 from toile.effects.setting import setting
 from toile.limits import Count, CountOrZero, Fraction, NonNegative, Positive, Unit
 from toile.physics.cloth import Cloth
+from toile.physics.grid_lines import GridLines
 from toile.physics.implicit.integrators import BDF2
 from toile.physics.implicit.simulator import ImplicitSimulator
 from toile.physics.linearizable import LinearizableSimulator
@@ -171,10 +172,10 @@ def _of_batch(state: State, b: int) -> State:
     return State(positions, velocities, past, state.steps, began)
 
 
-def cosine_modes(grid: tuple[int, int], n: int) -> Array:
-    """n² smooth modes (n², N) of unit mean square on a grid, the constant first."""
-    i = (np.arange(grid[0]) + 0.5) / grid[0]
-    j = (np.arange(grid[1]) + 0.5) / grid[1]
+def cosine_modes(lines: GridLines, n: int) -> Array:
+    """n² smooth modes (n², N) on a grid, the constant first; of unit mean square where it is even."""
+    # Vertices in the middle of cells of their own: on an even grid the modes are orthogonal then.
+    i, j = ((len(p) - 1) * p.numpy() / len(p) + 0.5 / len(p) for p in lines.places())
     scale = np.where(np.arange(n) > 0, np.sqrt(2), 1.0)
     a = scale[:, None] * np.cos(np.pi * np.arange(n)[:, None] * i)
     b = scale[:, None] * np.cos(np.pi * np.arange(n)[:, None] * j)
@@ -227,7 +228,7 @@ class Shooting:
         self.tension = next((t for t in simulator.terms if isinstance(t, TemplateTension)), None)
         self.masses = simulator.cloth.masses.numpy()
         self.free = simulator.assembly.free
-        modes = cosine_modes(grid, settings.modes)
+        modes = cosine_modes(simulator.cloth.lines, settings.modes)
         eye = np.eye(3)
         self.fields = (modes[:, None, :, None] * eye[None, :, None, :]).reshape(-1, len(self.masses), 3)
         self.fields = self.fields * self.free

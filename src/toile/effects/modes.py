@@ -14,6 +14,7 @@ from toile.effects.base import Effect, Parameter
 from toile.errors import InputError
 from toile.limits import Count
 from toile.physics.cloth import Cloth
+from toile.physics.grid_lines import GridLines
 
 # Half waves along grid axis 0 and 1. All have zero mean over the area.
 MODES = ((1, 0), (0, 1), (1, 1), (2, 0), (0, 2))
@@ -47,13 +48,13 @@ def cosine_modes(cloth: Cloth, modes: Sequence[tuple[int, int]] = MODES) -> Tens
         raise InputError(
             "smooth modes need a cloth on a grid", where="cloth", expected="a grid", got="a general mesh"
         )
-    return _on_grid(cloth.grid, tuple(modes))
+    return _on_grid(cloth.lines, tuple(modes))
 
 
 @lru_cache(maxsize=8)
-def _on_grid(grid: tuple[int, int], modes: tuple[tuple[int, int], ...]) -> Tensor:
+def _on_grid(lines: GridLines, modes: tuple[tuple[int, int], ...]) -> Tensor:
     """The same for a grid; derivatives by differences ask for it thousands of times."""
-    u, v = (torch.linspace(0, torch.pi, n, dtype=torch.float64) for n in grid)
+    u, v = (torch.pi * places for places in lines.places())
     found = [torch.cos(p * u)[:, None] * torch.cos(q * v)[None, :] for p, q in modes]
     return torch.stack(found, -1).reshape(-1, len(modes))
 

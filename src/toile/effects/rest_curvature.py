@@ -129,14 +129,17 @@ def _moments(values: Tensor, cloth: Cloth) -> Tensor:
     lengths_0 = (edges_0[:-1] + edges_0[1:]).reshape(-1) / 2
     lengths_1 = (edges_1[:, :-1] + edges_1[:, 1:]).reshape(-1) / 2
     varying = values[2:].reshape(2, -1)
-    along_0 = values[0] + varying[0] @ _cosines(varying.shape[1], h)
-    along_1 = values[1] + varying[1] @ _cosines(varying.shape[1], w)
-    return torch.cat((along_0.repeat_interleave(w) * lengths_0, along_1.repeat(h) * lengths_1))
+    places_0, places_1 = cloth.lines.places()
+    along_0 = values[0] + varying[0] @ _cosines(varying.shape[1], places_0)
+    along_1 = values[1] + varying[1] @ _cosines(varying.shape[1], places_1)
+    moments = torch.cat((along_0.repeat_interleave(w) * lengths_0, along_1.repeat(h) * lengths_1))
+    # B of a straight on an uneven grid is that much of the even one's.
+    return moments * cloth.energies.elements().factors["bending"]
 
 
-def _cosines(half_waves: int, n: int) -> Tensor:
-    """cos(pπu) at the inner ones of n vertices along an axis, (half_waves, n - 2)."""
-    u = torch.linspace(0, torch.pi, n, dtype=torch.float64)[1:-1]
+def _cosines(half_waves: int, places: Tensor) -> Tensor:
+    """cos(pπu) at the inner ones of n places u along an axis, (half_waves, n - 2)."""
+    u = torch.pi * places[1:-1]
     return torch.cos(torch.arange(1, half_waves + 1, dtype=torch.float64)[:, None] * u)
 
 

@@ -16,6 +16,7 @@ from toile.physics.energies.shearing import Shearing
 from toile.physics.energies.stretching import Stretching
 from toile.physics.energies.term import InternalEnergy
 from toile.physics.grid_laws import GridLaw, angles
+from toile.physics.grid_lines import GridLines
 from toile.physics.material import Material
 from toile.physics.parameter_vector import ParameterVector
 from toile.physics.stencils import Stencils, grid_stencils
@@ -32,6 +33,7 @@ class Cloth:
         masses: (N,) float64 [kg].
         pinned: (n_pinned,) int64, vertices whose motion is prescribed.
         law: of a grid: makes its energies, on another grid as well.
+        uneven: where the lines of a grid lie that are not evenly spaced; None where they are.
     """
 
     topology: Topology
@@ -39,6 +41,7 @@ class Cloth:
     masses: Tensor
     pinned: Tensor
     law: GridLaw = angles
+    uneven: GridLines | None = None
 
     def __post_init__(self) -> None:
         n = self.topology.n_vertices
@@ -63,6 +66,17 @@ class Cloth:
     def grid(self) -> tuple[int, int] | None:
         """(H, W) if the vertices form a grid, else None."""
         return self.topology.grid
+
+    @cached_property
+    def lines(self) -> GridLines:
+        """Where the lines of the grid lie.
+
+        Raises:
+            ValueError: the vertices form no grid.
+        """
+        if self.grid is None:
+            raise ValueError("lines: expected a cloth on a grid, got a general mesh")
+        return GridLines.even(*self.grid) if self.uneven is None else self.uneven
 
     @cached_property
     def stencils(self) -> Stencils:
@@ -136,6 +150,7 @@ def grid_cloth(
     pinned: tuple[int, ...],
     rest_lengths: Tensor | None = None,
     law: GridLaw = angles,
+    lines: GridLines | None = None,
 ) -> Cloth:
     """A rectangular cloth on an H×W grid, flat at rest.
 
@@ -146,16 +161,44 @@ def grid_cloth(
         pinned: flattened indices of pinned vertices.
         rest_lengths: (E,) [m]; uniform if None.
         law: which energies resist its deformation.
+        lines: of the grid; evenly spaced if None. Stiffnesses are those of an even grid of as many vertices,
+            of which it is the same sheet.
     """
+    even = lines is None or lines.is_even
     if rest_lengths is None:
-        rest_lengths = uniform_rest_lengths(grid_stencils(*grid), grid, cloth_size)
+        stencils = grid_stencils(*grid)
+        rest_lengths = (
+            uniform_rest_lengths(stencils, grid, cloth_size)
+            if lines is None or even
+            else _line_distances(lines, cloth_size)
+        )
+    energies = law(grid, rest_lengths.to(torch.float64))
+    masses = grid_masses(*grid, cloth_size, areal_density)
+    if lines is not None and not even:
+        if lines.grid != grid:
+            raise ValueError(f"lines: expected those of a grid of {grid}, got {lines.grid}")
+        factors = lines.element_factors()
+        diagonals = energies.named("shearing").stencil.shape[1] == 2
+        shearing = factors["diagonals" if diagonals else "corners"]
+        energies = energies.with_factors(
+            {"stretching": factors["edges"], "shearing": shearing, "bending": factors["straights"]}
+        )
+        masses = masses.sum() * (lines.cell_shares() / lines.cell_shares().sum()).reshape(-1)
     return Cloth(
         topology=Topology.of_grid(*grid),
-        energies=law(grid, rest_lengths.to(torch.float64)),
-        masses=grid_masses(*grid, cloth_size, areal_density),
+        energies=energies,
+        masses=masses,
         pinned=torch.tensor(pinned, dtype=torch.int64),
         law=law,
+        uneven=None if even else lines,
     )
+
+
+def _line_distances(lines: GridLines, cloth_size: tuple[float, float]) -> Tensor:
+    """Rest length of every edge of a flat sheet with these lines [m]."""
+    H, W = lines.grid
+    first, second = (p.diff() * side for p, side in zip(lines.places(), cloth_size, strict=True))
+    return torch.cat((first.repeat_interleave(W), second.repeat(H)))
 
 
 def mesh_masses(positions: Tensor, faces: Tensor, areal_density: float) -> Tensor:

@@ -41,6 +41,7 @@ from toile.effects.obstacles import Plane, Sphere
 from toile.effects.setting import setting
 from toile.physics.cloth import grid_cloth
 from toile.physics.grid_laws import GridLaw, angles, taut_fitted
+from toile.physics.grid_lines import GridLines
 from toile.physics.implicit.integrators import BDF2
 from toile.physics.implicit.newton import NewtonSettings
 from toile.physics.implicit.simulator import ImplicitSimulator
@@ -749,7 +750,7 @@ class TestSoftened:
         shooting.tracked = softened(tracked, 0.3, 25.0, 1.0, error)
         windows = joint_clip(shooting.with_window(2), around, FRAMES).windows
         rng = np.random.default_rng(5)
-        fields = cosine_modes(GRID, 2)
+        fields = cosine_modes(GridLines.even(*GRID), 2)
         for factor in (1.0, 2.0):
             deviation = factor * 0.003 * 0.3 / np.sqrt(len(fields))
             drawn = deviation * rng.standard_normal((40, FRAMES, len(fields), 3))

@@ -19,6 +19,7 @@ from toile.effects.base import Effect, Surroundings
 from toile.effects.catalogue import CATALOGUE, STAND_INS
 from toile.effects.setting import setting
 from toile.physics.cloth import grid_cloth, grid_material
+from toile.physics.grid_lines import GridLines
 from toile.physics.implicit.integrators import BDF2
 from toile.physics.implicit.linear_solvers.banded import BandedCholesky
 from toile.physics.implicit.newton import NewtonSettings
@@ -38,13 +39,15 @@ EFFECTS = {**CATALOGUE, **STAND_INS}
 THROUGH_FORCES = [n for n, e in EFFECTS.items() if issubclass(e, FORCES) and n != "contact"]
 
 
-def surroundings() -> Surroundings:
-    cloth = grid_cloth(GRID, (0.3, 0.36), 0.15, (0, (GRID[0] - 1) * GRID[1]))
+def surroundings(crowding: float = 0.0) -> Surroundings:
+    lines = GridLines.crowded(*GRID, crowding)
+    cloth = grid_cloth(GRID, (0.3, 0.36), 0.15, (0, (GRID[0] - 1) * GRID[1]), lines=lines)
     return Surroundings(cloth, (0.3, 0.36), GRAVITY, 1 / STEP, N_FRAMES)
 
 
 def start(around: Surroundings) -> torch.Tensor:
-    i, j = torch.meshgrid(torch.arange(GRID[0]), torch.arange(GRID[1]), indexing="ij")
+    u, v = around.cloth.lines.places()
+    i, j = torch.meshgrid((GRID[0] - 1) * u, (GRID[1] - 1) * v, indexing="ij")
     x = torch.stack((i * 0.06 * 0.98, j * 0.06, 1 + 0.01 * torch.sin(1.0 * i) + 0.004 * j), -1)
     return x.reshape(1, -1, 3).to(torch.float64)
 
@@ -135,10 +138,11 @@ def test_the_required_force_is_the_one_that_acted() -> None:
         np.testing.assert_allclose(motion.required(motion.step(n)), acted, atol=1e-8)
 
 
+@pytest.mark.parametrize("crowding", [0.0, 0.5])
 @pytest.mark.parametrize("name", THROUGH_FORCES)
-def test_tangents_hold_where_an_effect_is_strong(name: str) -> None:
+def test_tangents_hold_where_an_effect_is_strong(name: str, crowding: float) -> None:
     """What damping, drag and changed stiffness do to later motion is in the tangents, not in the forces."""
-    around = surroundings()
+    around = surroundings(crowding)
     plain_effect = EFFECTS[name]()
     numbers = 0.8 * plain_effect.scales
     effect = plain_effect.with_values(numbers)

@@ -116,14 +116,29 @@ class InternalEnergy(Sequence[EnergyTerm]):
     Args:
         terms: no two have the same name.
         defaults: of parameters that a material need not give, by name.
+        factors: on the stiffness of all elements (E,), by term; 1 for terms without.
     """
 
-    def __init__(self, terms: Sequence[EnergyTerm], defaults: Mapping[str, float] | None = None) -> None:
+    def __init__(
+        self,
+        terms: Sequence[EnergyTerm],
+        defaults: Mapping[str, float] | None = None,
+        factors: Mapping[str, Tensor] | None = None,
+    ) -> None:
         self.terms = tuple(terms)
         self._defaults = dict(defaults or {})
+        self._factors = dict(factors or {})
         names = [term.name for term in self.terms]
         if len(set(names)) < len(names):
             raise ValueError(f"terms: expected every energy once, got {', '.join(names)}")
+        sizes = {term.name: len(term.stencil) for term in self.terms}
+        for name, given in self._factors.items():
+            if name not in sizes or tuple(given.shape) != (sizes[name],):
+                raise ValueError(f"factors of {name}: expected as many as elements, {sizes}")
+
+    def with_factors(self, factors: Mapping[str, Tensor]) -> InternalEnergy:
+        """The same with factors on the stiffness of all elements (E,), by term."""
+        return InternalEnergy(self.terms, self._defaults, factors)
 
     @cached_property
     def parameters(self) -> ParameterVector:
@@ -146,9 +161,10 @@ class InternalEnergy(Sequence[EnergyTerm]):
         return torch.cat([t.coefficients(part) for t, part in zip(self.terms, parts, strict=True)], -1)
 
     def elements(self) -> Elements:
-        """Undisturbed elements: factors 1."""
+        """Undisturbed elements: factors are those of the grid, 1 where it is even."""
+        of = self._factors
         return Elements(
-            {t.name: torch.ones(len(t.stencil), dtype=torch.float64) for t in self.terms},
+            {t.name: of.get(t.name, torch.ones(len(t.stencil), dtype=torch.float64)) for t in self.terms},
             {t.name: t.rest for t in self.terms},
         )
 

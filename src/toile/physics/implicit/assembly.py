@@ -52,7 +52,8 @@ class Assembly:
         self._gradients = np.zeros((n_coefficients, self.n, 3))
         self._coefficients = np.zeros(n_coefficients)
         # The kernels read these whenever they run.
-        self._factors = {t.name: np.ones(len(t.stencil)) for t in energies}
+        undisturbed = energies.elements().factors
+        self._factors = {t.name: np.array(undisturbed[t.name].numpy(), np.float64) for t in energies}
         self._rest = {t.name: np.array(t.rest.numpy(), np.float64) for t in energies}
         self._launch_energies: list[Any] = []
         self._launch_derivatives: list[Any] = []
