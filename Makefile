@@ -107,6 +107,10 @@ paper-recipe: setup ## The paper's recipe on R1, one factor at a time (hours): d
 base-law: setup ## Measure how far base laws miss cloth of an independent engine
 	$(BIN)/python benchmarks/base_law.py --side 16 --output docs/results/base_law.md
 
+.PHONY: model-grid
+model-grid: setup ## Measure which grid the base model of a session needs (half an hour): docs/results/model_grid.md; resumes
+	$(BIN)/python benchmarks/model_grid.py
+
 .PHONY: capture-layer
 capture-layer: setup ## The simulation layer of moving garments (an hour): docs/results/capture_layer.csv; resumes
 	$(BIN)/python benchmarks/capture_layer.py

@@ -318,6 +318,7 @@ class JointFit:
         size: prior deviation of its own coefficients under which it was fitted.
         n_usual: coefficients of the base model's effects, which come before its own.
         deviation: see Effect.deviation, of the effect in question on the material of the fit.
+        possible: see Effect.is_possible, of the effect in question on that material.
     """
 
     names: tuple[str, ...]
@@ -333,6 +334,7 @@ class JointFit:
     size: float = 1.0
     n_usual: int = 0
     deviation: float = 1.0
+    possible: bool = True
 
     @property
     def own(self) -> Array:
@@ -345,13 +347,15 @@ class JointFit:
         return self.covariance[self.n_usual :, self.n_usual :]
 
     def evidence(self, against: JointFit) -> EffectEvidence:
-        """What it says about the coefficients of the effect in question.
+        """What it says about the coefficients of the effect in question; nothing where no cloth has them.
 
         Args:
             against: the hypothesis without it.
         """
         unit = self.deviation
         own, covariance = self.own / unit, self.own_covariance / unit**2
+        if not self.possible:
+            return EffectEvidence.of(0.0, np.zeros_like(own), covariance, self.size / unit)
         return EffectEvidence.of(against.misfit - self.misfit, own, covariance, self.size / unit)
 
 
@@ -492,6 +496,7 @@ class JointFitting:
             size=self.settings.inflation(effects[-1]) if effects else 1.0,
             n_usual=len(begin.coefficients) if len(effects) > len(begin.names) else begin.n_usual,
             deviation=self._deviation_of(effects[-1], place.values) if effects else 1.0,
+            possible=self._is_possible(place.effects[0][-1], place.values) if effects else True,
         )
 
     def fitted_hypothesis(self, effect: Effect, base: JointFit, workers: Workers = ALONE) -> JointFit:
@@ -529,8 +534,15 @@ class JointFitting:
 
     def _deviation_of(self, effect: Effect, values: Array) -> float:
         """See Effect.deviation, on a material of these log ratios."""
+        return effect.deviation(self._material(values))
+
+    def _is_possible(self, acting: Effect, values: Array) -> bool:
+        """See Effect.is_possible, on a material of these log ratios."""
+        return acting.is_possible(self._material(values))
+
+    def _material(self, values: Array) -> dict[str, float]:
         material = self.start * np.exp(np.minimum(values[: len(self.start)], self._highest))
-        return effect.deviation(dict(zip(self._names, map(float, material), strict=True)))
+        return dict(zip(self._names, map(float, material), strict=True))
 
     def _stiffness_of(self, effect: Effect) -> int | None:
         """Place of the stiffness against which an effect works among the material's numbers."""
@@ -707,6 +719,7 @@ class JointFitting:
                 size=inflation,
                 n_usual=n_usual,
                 deviation=self._deviation_of(effect, base.values),
+                possible=self._is_possible(self._acting(alone, coefficients)[0][-1], base.values),
             )
         return found
 

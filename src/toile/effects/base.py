@@ -144,6 +144,14 @@ class Effect(ABC):
         """
         return 1.0
 
+    def is_possible(self, material: Mapping[str, float]) -> bool:
+        """Whether a cloth can be like that; most effects within their bounds always are.
+
+        Args:
+            material: of the cloth, by name.
+        """
+        return True
+
     def place(self) -> dict[str, NDArray[np.float64]]:
         """Where this instance acts, beside its values, as arrays; {} where all of a class are alike."""
         return {}

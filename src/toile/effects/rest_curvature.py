@@ -21,6 +21,8 @@ _SCALE = 1e-3
 """Of the moments [N]: a curvature of 5 / m in a cloth of usual stiffness, 2e-4 N·m."""
 _USUAL = 5.0
 """Of natural curvatures [1/m], whatever the stiffness."""
+_TIGHTEST = 200.0
+"""Natural curvature that no cloth exceeds [1/m]: a roll of 1 cm across."""
 
 IN_DETAIL = 4
 """Half waves that resolve a quarter of the cloth: a fold."""
@@ -106,6 +108,14 @@ class RestCurvature(VertexEffect):
     def deviation(self, material: Mapping[str, float]) -> float:
         """See Effect: natural curvatures of 5 / m, whatever B is."""
         return _USUAL * material["bending"] / _SCALE
+
+    def is_possible(self, material: Mapping[str, float]) -> bool:
+        """See Effect: a natural curvature acts through B, and rolled edges of knitwear are the tightest."""
+        h = self.half_waves
+        along = self.values[:2], self.values[2:].reshape(2, h)
+        places = torch.linspace(0, 1, 4 * h + 3, dtype=torch.float64)
+        moments = along[0][:, None] + along[1] @ _cosines(h, places)
+        return bool(moments.abs().max() <= _TIGHTEST * material["bending"])
 
     def energy(self, positions: Tensor, now: StepContext) -> Tensor:
         """See VertexTerm."""

@@ -38,6 +38,7 @@ from toile.effects.base import Effect, Scope, Surroundings
 from toile.effects.catalogue import CATALOGUE, OUTSIDE
 from toile.effects.contact import Contact
 from toile.effects.obstacles import Plane, Sphere
+from toile.effects.rest_curvature import RestCurvature
 from toile.effects.setting import setting
 from toile.physics.cloth import grid_cloth
 from toile.physics.grid_laws import GridLaw, angles, taut_fitted
@@ -428,6 +429,32 @@ class TestLostStiffness:
         softer = replace(found, deviation=0.01 * found.deviation)
         assert softer.evidence(soft).drop == found.evidence(soft).drop
         assert softer.evidence(soft).nats() < found.evidence(soft).nats() - 10
+
+    def test_a_curvature_that_no_cloth_has_says_nothing(
+        self, curled: tuple[JointFitting, JointFit, Effect]
+    ) -> None:
+        """A cloth without bending stiffness has no moment, however well one would fit."""
+        fitting, soft, curvature = curled
+        system = fitting.quadratic([curvature], soft, fitting.systems([curvature], soft))
+        around = fitting.linearised([curvature], soft, system)["rest_curvature"]
+        fits = [fitting.fitted_hypothesis(curvature, soft), around]
+        for fit in fits:
+            bending = 2e-4 * np.exp(fit.values[2])
+            tightest = max(abs(float(m)) for m in fit.effects[0][0].values) / bending
+            assert fit.possible == (tightest <= 200), tightest
+        found, there = fits
+        assert found.possible
+        assert found.evidence(soft).nats() > 10
+        assert not there.possible
+        assert there.misfit < soft.misfit - 10
+        assert there.evidence(soft).drop == 0
+        assert there.evidence(soft).nats() < 0
+
+    @pytest.mark.parametrize(("of_mode", "possible"), [(0.0, True), (0.9, False), (-0.9, False)])
+    def test_the_tightest_place_counts(self, of_mode: float, possible: bool) -> None:
+        curl = RestCurvature({"axis_1": 0.015, "axis_1_2": 0.015 * of_mode}, half_waves=2)
+        assert curl.is_possible({"bending": 1e-4}) is possible
+        assert curl.is_possible({"bending": 2e-4})
 
 
 class TestUsualEffects:
