@@ -3,7 +3,7 @@
 Positions are the true ones, so what is left is the model's: its grid and its law. First clips of the sessions
 of the ladder; what is found is kept in outputs/model_grid, so that it goes on where it was.
 
-    python benchmarks/model_grid.py [--sessions blender-none:0:301 ...] [--grids 14:0 16:0.5 ...]
+    python benchmarks/model_grid.py [--sessions blender-none:0:301 ...] [--grids 14:0 20:0.5 ...]
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from toile.reports.run_folder import current_git_revision
 KEPT = Path("outputs") / "model_grid"
 PAGE = Path("docs") / "results" / "model_grid.md"
 SESSIONS = ("blender-none:0:301", "blender-none:0:303", "none:0:17", "rest_curvature:3:8")
-GRIDS = ("14:0", "14:0.5", "16:0.5", "20:0", "20:0.5")
+GRIDS = ("14:0", "14:0.5", "20:0", "20:0.5")
 """Vertices along each side, and by how much lines come closer at the borders."""
 
 

@@ -113,7 +113,7 @@ class SessionSettings:
     """
 
     law: GridLaw = taut_fitted
-    side: Annotated[int, Field(ge=4), Unit("vertices")] = 16
+    side: Annotated[int, Field(ge=4), Unit("vertices")] = 20
     crowding: Crowding = 0.5
     longest_substep: Annotated[Positive, Unit("s")] = 0.01
     window: Annotated[Positive, Unit("s")] = 0.04
