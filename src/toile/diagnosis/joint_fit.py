@@ -503,7 +503,8 @@ class JointFitting:
         """A hypothesis at its best, from where the base model has ended: it cannot be worse.
 
         Where the base model has lost the stiffness that the effect works against, a fit begins with that as
-        it usually is as well, see ``has_lost_its_stiffness``; the one that soon explains more goes on.
+        it usually is as well, see ``has_lost_its_stiffness``; the one that soon explains more goes on, if a
+        cloth can be like that.
 
         Args:
             effect: in question.
@@ -517,7 +518,9 @@ class JointFitting:
         brief = copy.copy(self)
         brief.settings = replace(self.settings, passes=min(_FIRST_PASSES, self.settings.passes))
         tried = [brief.fitted(hypothesis, one, workers, spread=False) for one in (base, begin)]
-        return self.fitted(hypothesis, min(tried, key=lambda fit: fit.misfit), workers)
+        best = min(tried, key=lambda fit: fit.misfit)
+        # What no cloth has says nothing, at its best fit either.
+        return self.fitted(hypothesis, best, workers) if best.possible else best
 
     def has_lost_its_stiffness(self, effect: Effect, base: JointFit) -> bool:
         """Whether the base model has next to nothing of the stiffness against which an effect works.

@@ -450,6 +450,16 @@ class TestLostStiffness:
         assert there.evidence(soft).drop == 0
         assert there.evidence(soft).nats() < 0
 
+    def test_a_fit_that_no_cloth_can_have_is_not_gone_on_with(
+        self, curled: tuple[JointFitting, JointFit, Effect], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        fitting, soft, curvature = curled
+        goes_on = fitting.fitted_hypothesis(curvature, soft)
+        monkeypatch.setattr(RestCurvature, "is_possible", lambda self, material: False)
+        given_up = fitting.fitted_hypothesis(curvature, soft)
+        assert len(given_up.history) < len(goes_on.history)
+        assert given_up.evidence(soft).drop == 0
+
     @pytest.mark.parametrize(("of_mode", "possible"), [(0.0, True), (0.9, False), (-0.9, False)])
     def test_the_tightest_place_counts(self, of_mode: float, possible: bool) -> None:
         curl = RestCurvature({"axis_1": 0.015, "axis_1_2": 0.015 * of_mode}, half_waves=2)
