@@ -67,12 +67,11 @@ def model_grid(
         fine: the scene's cloth; areal density, rest lengths, law.
         side: vertices.
         law: None for the scene's cloth's.
-        crowding: of the model's lines towards the borders, see GridLines; a model on the scene's own grid has
-            its lines, which are even.
+        crowding: of the model's lines towards the borders, see GridLines.
     """
     H, W = scene.grid
     h, w = (H, W) if side is None else (min(side, H), min(side, W))
-    lines = GridLines.crowded(h, w, crowding if (h, w) != (H, W) else 0.0)
+    lines = GridLines.crowded(h, w, crowding)
     u, v = (places.numpy() for places in lines.places())
     fine_u, fine_v = np.linspace(0, 1, H), np.linspace(0, 1, W)
     prolong = np.kron(spline_matrix(u, fine_u), spline_matrix(v, fine_v))

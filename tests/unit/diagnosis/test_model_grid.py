@@ -60,5 +60,9 @@ def test_the_nearest_vertices_are_held() -> None:
     assert crowded == int((u - 0.25).abs().argmin()) * 13 == 4 * 13
 
 
-def test_on_the_scenes_own_grid_its_lines_are_even() -> None:
-    assert model(40, 0.5).cloth.uneven is None
+def test_as_many_vertices_as_the_scene_has_are_the_scenes_or_crowded() -> None:
+    same, crowded = model(40, 0.0), model(40, 0.5)
+    assert same.grid == crowded.grid == FINE
+    np.testing.assert_allclose(same.prolong, np.eye(len(same.prolong)), atol=1e-12)
+    assert same.cloth.uneven is None
+    assert crowded.cloth.uneven is not None
