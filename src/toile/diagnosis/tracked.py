@@ -216,7 +216,10 @@ def tracked_motion(
     at_points = sparse.coo_matrix((points.weights.reshape(-1), (rows, points.vertices.reshape(-1))), (P, N))
     at_points = at_points.tocsr().astype(np.float32)
     prolong = grid.prolong.astype(np.float32)
-    same = prolong.shape[0] == prolong.shape[1]
+    # As many vertices on lines elsewhere are another grid.
+    same = prolong.shape[0] == prolong.shape[1] and bool(
+        np.allclose(prolong, np.eye(len(prolong)), atol=1e-6)
+    )
     model = np.einsum("cn,fnd->fcd", grid.restrict, positions)
     n = prolong.shape[1]
     information: list[Single | sparse.csr_matrix] = []
