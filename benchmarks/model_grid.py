@@ -127,7 +127,7 @@ def main() -> None:
         "would take most beside the base model, linearised; on a null that is a false alarm's evidence. "
         "Processor seconds of these fits, one thread.",
         "",
-        table.to_markdown(index=False, floatfmt=("", *(digits.get(name, "") for name in table.columns))),
+        table.to_markdown(index=False, floatfmt=tuple(digits.get(name, "") for name in table.columns)),
         "",
     ]
     write_text(PAGE, "\n".join(lines))
