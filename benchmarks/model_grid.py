@@ -41,6 +41,15 @@ PAGE = Path("docs") / "results" / "model_grid.md"
 SESSIONS = ("blender-none:0:301", "blender-none:0:303", "none:0:17", "rest_curvature:3:8")
 GRIDS = ("14:0", "14:0.5", "20:0", "20:0.5")
 """Vertices along each side, and by how much lines come closer at the borders."""
+DIGITS = {
+    "crowding": "g",
+    "between its vertices [% of the width]": ".3f",
+    "the model leaves [% of the width]": ".3f",
+    "misfit without damping": ".0f",
+    "with": ".0f",
+    "of [nats]": ".0f",
+    "CPU [s]": ".0f",
+}
 
 
 @denormals_flushed()
@@ -111,9 +120,6 @@ def main() -> None:
             rows.append(json.loads(kept.read_text()))
             print(rows[-1], flush=True)
     table = pd.DataFrame(rows)
-    digits = {"crowding": "g", "misfit without damping": ".0f", "with": ".0f", "of [nats]": ".0f"}
-    digits |= {"CPU [s]": ".0f", "between its vertices [% of the width]": ".3f"}
-    digits |= {"the model leaves [% of the width]": ".3f"}
     lines = [
         "# Which grid the base model of a session needs",
         "",
@@ -127,7 +133,7 @@ def main() -> None:
         "would take most beside the base model, linearised; on a null that is a false alarm's evidence. "
         "Processor seconds of these fits, one thread.",
         "",
-        table.to_markdown(index=False, floatfmt=tuple(digits.get(name, "") for name in table.columns)),
+        table.to_markdown(index=False, floatfmt=tuple(DIGITS.get(name, "") for name in table.columns)),
         "",
     ]
     write_text(PAGE, "\n".join(lines))

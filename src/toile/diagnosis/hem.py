@@ -46,13 +46,7 @@ def border_strip(around: Surroundings) -> Array:
     (H, W), (height, width) = cloth.grid, around.cloth_size
     density = float(cloth.masses.sum()) / (height * width)
     mass = np.zeros((H, W))
-    places_0, places_1 = cloth.lines.places()
-    mass[:, [0, -1]] += density * height * _shares(places_0)[:, None]
-    mass[[0, -1]] += density * width * _shares(places_1)
+    first, second = (share.numpy() / (len(share) - 1) for share in cloth.lines.shares())
+    mass[:, [0, -1]] += density * height * first[:, None]
+    mass[[0, -1]] += density * width * second
     return mass.reshape(-1)
-
-
-def _shares(places: Tensor) -> Array:
-    """Of a line's length that belong to each of n vertices along it, at places from 0 to 1."""
-    half = np.diff(places.numpy()) / 2
-    return np.asarray(np.append(half, 0) + np.append(0, half))

@@ -709,20 +709,20 @@ class JointFitting:
             bounds = (low[alone.n_base + n_usual :], high[alone.n_base + n_usual :])
             found_at = lsq_linear(lower.T, solve_triangular(lower, score, lower=True), bounds, method="bvls")
             coefficients = self._bounded(alone, np.concatenate((base.coefficients, found_at.x)))
-            best = coefficients[n_usual:]
+            best, acting = coefficients[n_usual:], self._acting(alone, coefficients)
             drop = float(score @ best - 0.5 * best @ precision @ best)
             found[effect.NAME] = replace(
                 base,
                 names=tuple(one.NAME for one in alone.effects),
                 coefficients=coefficients,
                 covariance=block_diag(base.covariance, covariance),
-                effects=self._acting(alone, coefficients),
+                effects=acting,
                 misfit=base.misfit - drop,
                 converged=False,
                 size=inflation,
                 n_usual=n_usual,
                 deviation=self._deviation_of(effect, base.values),
-                possible=self._is_possible(self._acting(alone, coefficients)[0][-1], base.values),
+                possible=self._is_possible(acting[0][-1], base.values),
             )
         return found
 

@@ -164,34 +164,40 @@ def grid_cloth(
         lines: of the grid; evenly spaced if None. Stiffnesses are those of an even grid of as many vertices,
             of which it is the same sheet.
     """
-    even = lines is None or lines.is_even
+    if lines is not None and lines.grid != grid:
+        raise ValueError(f"lines: expected those of a grid of {grid}, got {lines.grid}")
+    uneven = None if lines is None or lines.is_even else lines
     if rest_lengths is None:
-        stencils = grid_stencils(*grid)
         rest_lengths = (
-            uniform_rest_lengths(stencils, grid, cloth_size)
-            if lines is None or even
-            else _line_distances(lines, cloth_size)
+            uniform_rest_lengths(grid_stencils(*grid), grid, cloth_size)
+            if uneven is None
+            else _line_distances(uneven, cloth_size)
         )
     energies = law(grid, rest_lengths.to(torch.float64))
     masses = grid_masses(*grid, cloth_size, areal_density)
-    if lines is not None and not even:
-        if lines.grid != grid:
-            raise ValueError(f"lines: expected those of a grid of {grid}, got {lines.grid}")
-        factors = lines.element_factors()
-        diagonals = energies.named("shearing").stencil.shape[1] == 2
-        shearing = factors["diagonals" if diagonals else "corners"]
-        energies = energies.with_factors(
-            {"stretching": factors["edges"], "shearing": shearing, "bending": factors["straights"]}
-        )
-        masses = masses.sum() * (lines.cell_shares() / lines.cell_shares().sum()).reshape(-1)
+    if uneven is not None:
+        energies = energies.with_factors(_element_factors(energies, uneven))
+        first, second = uneven.shares()
+        masses = masses.sum() * torch.outer(first, second).reshape(-1) / (first.sum() * second.sum())
     return Cloth(
         topology=Topology.of_grid(*grid),
         energies=energies,
         masses=masses,
         pinned=torch.tensor(pinned, dtype=torch.int64),
         law=law,
-        uneven=None if even else lines,
+        uneven=uneven,
     )
+
+
+def _element_factors(energies: InternalEnergy, lines: GridLines) -> dict[str, Tensor]:
+    """Of the energies of a grid, by name; see GridLines."""
+    factors = lines.element_factors()
+    diagonals = energies.named("shearing").stencil.shape[1] == 2
+    return {
+        "stretching": factors["edges"],
+        "shearing": factors["diagonals" if diagonals else "corners"],
+        "bending": factors["straights"],
+    }
 
 
 def _line_distances(lines: GridLines, cloth_size: tuple[float, float]) -> Tensor:

@@ -15,10 +15,9 @@ from typing import Annotated
 import torch
 from pydantic import Field
 from torch import Tensor
+from torch.nn.functional import pad
 
-from toile.limits import Unit
-
-Crowding = Annotated[float, Field(ge=0, le=0.9), Unit("1")]
+Crowding = Annotated[float, Field(ge=0, le=0.9)]
 """See GridLines.crowded."""
 
 
@@ -69,16 +68,18 @@ class GridLines:
 
     def places(self) -> tuple[Tensor, Tensor]:
         """(H,) and (W,)."""
-        return tuple(torch.tensor(p, dtype=torch.float64) for p in (self.along_0, self.along_1))  # type: ignore[return-value]
+        first, second = (torch.tensor(p, dtype=torch.float64) for p in (self.along_0, self.along_1))
+        return first, second
 
     def spacings(self) -> tuple[Tensor, Tensor]:
         """Distances between lines (H-1,) and (W-1,), over their mean."""
-        return tuple(p.diff() * (len(p) - 1) for p in self.places())  # type: ignore[return-value]
+        first, second = (p.diff() * (len(p) - 1) for p in self.places())
+        return first, second
 
-    def cell_shares(self) -> Tensor:
-        """Cells of mean area that belong to each vertex, (H, W)."""
-        first, second = (_shares(d) for d in self.spacings())
-        return first[:, None] * second
+    def shares(self) -> tuple[Tensor, Tensor]:
+        """What of the sheet's sides belongs to each line, (H,) and (W,), over the mean distance of lines."""
+        first, second = (0.5 * (pad(d, (1, 0)) + pad(d, (0, 1))) for d in self.spacings())
+        return first, second
 
     def strips(self) -> tuple[Tensor, Tensor]:
         """Width of the strip that each line stands for, (H,) and (W,), over the mean distance of lines.
@@ -86,7 +87,8 @@ class GridLines:
         Half of it lies on either side. A line on a border stands for a whole one, as on an even grid, where
         its threads are as stiff as all others (paper, 3.1).
         """
-        return tuple(torch.cat((d[:1], (d[:-1] + d[1:]) / 2, d[-1:])) for d in self.spacings())  # type: ignore[return-value]
+        first, second = (torch.cat((d[:1], (d[:-1] + d[1:]) / 2, d[-1:])) for d in self.spacings())
+        return first, second
 
     def element_factors(self) -> Mapping[str, Tensor]:
         """Factors on the stiffness of all elements of a grid with which it is the same sheet, by their kind.
@@ -120,8 +122,3 @@ def _crowded(n: int, crowding: float) -> tuple[float, ...]:
     even = torch.linspace(0, 1, n, dtype=torch.float64)
     places = (1 - crowding) * even + crowding * (1 - torch.cos(torch.pi * even)) / 2
     return (0.0, *places[1:-1].tolist(), 1.0)
-
-
-def _shares(spacings: Tensor) -> Tensor:
-    nothing = spacings.new_zeros(1)
-    return (torch.cat((nothing, spacings)) + torch.cat((spacings, nothing))) / 2

@@ -114,5 +114,6 @@ def test_lines_that_do_not_rise_from_0_to_1_are_refused(places) -> None:
 
 
 def test_lines_of_another_grid_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"\(7, 6\)"):
-        grid_cloth((6, 7), SIZE, 0.2, (0,), lines=GridLines.crowded(7, 6, 0.5))
+    for crowding in (0.0, 0.5):
+        with pytest.raises(ValueError, match=r"\(7, 6\)"):
+            grid_cloth((6, 7), SIZE, 0.2, (0,), lines=GridLines.crowded(7, 6, crowding))
