@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 from scipy.linalg import cho_factor, cho_solve
 
+from toile.diagnosis.image_information import dense
 from toile.diagnosis.tracked import Tracked
 
 Array = NDArray[np.float64]
@@ -34,6 +34,7 @@ class ImageError:
     def __init__(self, tracked: Tracked) -> None:
         self._tracked = tracked
         self._favoured: dict[int, Array] = {}
+        self._known: dict[int, float] = {}
 
     def favoured(self, frame: int) -> Array:
         """Where images alone have the cloth (N, 3) [m]: the lowest point of their quadratic.
@@ -41,7 +42,8 @@ class ImageError:
         Directions that they know nothing of stay as tracked.
         """
         if frame not in self._favoured:
-            matrix = self._matrix(frame)
+            matrix = np.asarray(dense(self._tracked.information[frame]), np.float64)
+            self._known[frame] = float(matrix.diagonal().sum())
             known = matrix + _PRIOR * matrix.diagonal().max() * np.eye(len(matrix))
             slope = self._tracked.gradient[frame].reshape(-1)
             moved = cho_solve(cho_factor(known, lower=True), slope)
@@ -52,9 +54,4 @@ class ImageError:
         """Root mean square distance [m] of positions x (N, 3) in a frame, directions weighed as seen."""
         matrix = self._tracked.information[frame]
         away = (x - self.favoured(frame)).reshape(-1)
-        return float(np.sqrt(3 * away @ (matrix @ away) / matrix.diagonal().sum()))
-
-    def _matrix(self, frame: int) -> Array:
-        matrix = self._tracked.information[frame]
-        dense = matrix.toarray() if isinstance(matrix, sparse.csr_matrix) else matrix
-        return np.asarray(dense, np.float64)
+        return float(np.sqrt(3 * away @ (matrix @ away) / self._known[frame]))

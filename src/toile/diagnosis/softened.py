@@ -12,9 +12,9 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 from scipy.linalg import lapack
 
+from toile.diagnosis.image_information import SoftenedInformation, dense
 from toile.diagnosis.tracked import Tracked
 from toile.limits import Count, Positive, Unit
 
@@ -57,29 +57,16 @@ def softened(
     # Of every vertex, so that smooth modes have the variance that is asked for.
     variance = (error.share * width) ** 2 * n / error.modes * lasting
     information, gradient = [], np.empty_like(tracked.positions)
-    eye = np.eye(3 * n)
+    # Memory that is used again: to ask for as much anew in every frame takes longer than what is done in it.
+    scaled = np.empty((3 * n, 3 * n))
     for frame, matrix in enumerate(tracked.information):
-        dense = matrix.toarray() if isinstance(matrix, sparse.csr_matrix) else np.asarray(matrix)
-        image = likelihood_weight * dense.astype(np.float64)
-        # (I⁻¹ + σ² 1)⁻¹ without I⁻¹, which is not there where points are hidden; (1 - (1 + σ² I)⁻¹) / σ².
-        kept = _inverse(eye + 0.5 * variance * (image + image.T))
-        information.append(((eye - kept) / variance).astype(np.float32))
-        slope = likelihood_weight * tracked.gradient[frame].reshape(-1)
-        gradient[frame] = (kept @ slope).reshape(n, 3)
+        np.multiply(dense(matrix), variance * likelihood_weight, out=scaled, dtype=np.float64)
+        scaled[np.diag_indices(3 * n)] += 1.0
+        # In Fortran's order it is the same matrix.
+        factor, wrong = lapack.dpotrf(scaled.T, lower=1, clean=0, overwrite_a=1)
+        if wrong:
+            raise FloatingPointError("the images' information is not positive definite")
+        slope, _ = lapack.dpotrs(factor, likelihood_weight * tracked.gradient[frame].reshape(-1), lower=1)
+        gradient[frame] = slope.reshape(n, 3)
+        information.append(SoftenedInformation(factor.astype(np.float32), variance))
     return Tracked(tracked.positions, information, gradient, tracked.fine_positions)
-
-
-def _inverse(matrix: Array) -> Array:
-    """Of a symmetric positive-definite matrix, by its factor: half the work of solving for an identity.
-
-    Raises:
-        FloatingPointError: it is not positive definite.
-    """
-    # In Fortran's order it is the same matrix.
-    factor, wrong = lapack.dpotrf(matrix.T, lower=1, overwrite_a=1)
-    if not wrong:
-        lower, wrong = lapack.dpotri(factor, lower=1, overwrite_c=1)
-    if wrong:
-        raise FloatingPointError("the images' information is not positive definite")
-    lower = np.tril(lower)
-    return np.asarray(lower + np.tril(lower, -1).T)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy import sparse
 
+from toile.diagnosis.image_information import Information
 from toile.diagnosis.model_grid import ModelGrid
 from toile.limits import Count, NonNegative, Positive, Unit
 from toile.reconstruction.gauss_newton.recipe import (
@@ -34,14 +35,13 @@ class Tracked:
 
     Attributes:
         positions: (F, N, 3) [m].
-        information: F Gauss-Newton matrices of the image term (3N, 3N) [1/m²], in units of its noise; sparse
-            on the scene's own grid.
+        information: F Gauss-Newton matrices of the image term (3N, 3N) [1/m²], in units of its noise.
         gradient: of the image term at ``positions`` (F, N, 3) [1/m], in the same units.
         fine_positions: on the scene's grid (F, N_scene, 3) [m].
     """
 
     positions: Array
-    information: Sequence[Single | sparse.csr_matrix]
+    information: Sequence[Information]
     gradient: Array
     fine_positions: Array
 
@@ -222,7 +222,7 @@ def tracked_motion(
     )
     model = np.einsum("cn,fnd->fcd", grid.restrict, positions)
     n = prolong.shape[1]
-    information: list[Single | sparse.csr_matrix] = []
+    information: list[Information] = []
     gradient = np.empty_like(model)
     for f in range(len(positions)):
         # Where the coarse motion cannot follow the fine one, the term has its slope.

@@ -14,6 +14,7 @@ import torch
 from toile.diagnosis.base_fit import base_of, base_sensitivities, local_scales, nothing_seen
 from toile.diagnosis.effect_size import displacement
 from toile.diagnosis.hem import Hem
+from toile.diagnosis.image_information import dense
 from toile.diagnosis.joint_fit import (
     JointClip,
     JointFit,
@@ -775,8 +776,15 @@ class TestSoftened:
         variance = 0.003**2 * 36 / 9 * 2
         seen = 0.5 * image[10:, 10:].astype(np.float64)
         expected = np.linalg.inv(np.linalg.inv(seen) + variance * np.eye(n - 10))
-        np.testing.assert_allclose(soft.information[2][10:, 10:], expected, atol=1e-5 * expected.max())
-        assert np.abs(soft.information[2][:10]).max() <= 1e-8 * expected.max()
+        information = soft.information[2]
+        found = dense(information)
+        np.testing.assert_allclose(found[10:, 10:], expected, atol=1e-5 * expected.max())
+        assert np.abs(found[:10]).max() <= 1e-8 * expected.max()
+        right = rng.standard_normal((n, 5))
+        for asked in (right, right[:, 0]):
+            wanted = expected @ asked[10:]
+            np.testing.assert_allclose((information @ asked)[10:], wanted, atol=1e-5 * np.abs(wanted).max())
+            assert np.abs((information @ asked)[:10]).max() <= 1e-5 * np.abs(wanted).max()
         bent = expected @ np.linalg.solve(seen, 0.5 * slope[10:])
         np.testing.assert_allclose(soft.gradient[2].reshape(-1)[10:], bent, atol=1e-6 * np.abs(bent).max())
 
