@@ -225,7 +225,7 @@ def diagnose_session(
     progress("what the clips say together", 0.88)
     calibration = Calibration.load(None if settings.calibration is None else Path(settings.calibration))
     # A motion that is left as tracked errs as tracking does.
-    slips = together.slip if together.refining.rounds else settings.attachment_slip
+    slips = together.slip if together.refining.any else settings.attachment_slip
     of_images = with_slips(clips, motion.positions, effects, slips, resized=bool(resized))
     learned = learned_chances(clips, motion)
     fitting = model.fitting

@@ -30,19 +30,32 @@ class RefiningSettings:
     Tracking has forces of 10 m/s² at every vertex, so what images hardly see, the depth of a sheet that faces
     the camera, wanders by percents of the width. The base model whose windows may jump a little further than
     when hypotheses are compared does not, and the image term is linearised anew around what it finds. Every
-    linearisation takes a part of the error away, so many short rounds do more than few long ones.
+    linearisation takes a part of the error away, so many short rounds do more than few long ones. Most of it
+    is smooth and goes on a coarse grid, where a round takes a third of the time.
 
     Attributes:
-        rounds: of fits, at most, each with the image term linearised anew; 0 leaves the motion as tracked.
+        side: vertices along each side of the model in the first rounds, that of SessionSettings at most.
+        rounds: of fits with it, at most, each with the image term linearised anew; 0: none.
+        firm: passes at most of one more round with it, whose jumps are those of the comparison: folds that
+            looser ones leave where tracking had them are undone by it.
+        finer: rounds with the whole model after them, at most; without any round the motion stays as tracked.
         steady: rounds end where the motion changes by less than so many of the model's errors.
-        passes: of each, at most.
-        jumps: factor on the deviations of the jumps.
+        passes: of each, at most, the firm one aside.
+        jumps: factor on the deviations of the jumps in them.
     """
 
+    side: Annotated[int, Field(ge=4), Unit("vertices")] = 14
     rounds: CountOrZero = 7
+    firm: CountOrZero = 12
+    finer: CountOrZero = 2
     steady: NonNegative = 1.0
     passes: Count = 2
     jumps: Positive = 2.5
+
+    @property
+    def any(self) -> bool:
+        """Whether there is any round."""
+        return bool(self.rounds or self.firm or self.finer)
 
 
 @dataclass(frozen=True)

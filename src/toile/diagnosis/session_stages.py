@@ -15,6 +15,7 @@ from toile.diagnosis.fingerprint import fingerprint
 from toile.diagnosis.joint_fit import (
     JointClip,
     JointFit,
+    JointFitSettings,
     JointFitting,
     fitted_velocities,
     frame_positions,
@@ -40,6 +41,10 @@ Array = NDArray[np.float64]
 Own = Sequence[Mapping[str, Effect]]
 Inputs = TypeVarTuple("Inputs")
 Output = TypeVar("Output")
+
+
+_ROUGH = 0.02
+"""Share of the misfit that a pass gains, below which a fit ends that another one follows."""
 
 
 @dataclass(frozen=True)
@@ -231,6 +236,20 @@ class SessionModel:
         velocities = [fitted_velocities(clip.shooting, windows) for clip, windows in pairs]
         return RefinedMotion(positions, fit.values, velocities=velocities)
 
+    def moved_to(self, motion: RefinedMotion, grids: Sequence[ModelGrid]) -> RefinedMotion:
+        """The same motion with velocities for a model on other grids.
+
+        Args:
+            motion: refined by this model.
+            grids: of every clip.
+        """
+        assert motion.velocities is not None
+        velocities = [
+            np.einsum("mv,vn,fnc->fmc", there.restrict, here.prolong, v, optimize=True)
+            for here, there, v in zip(self.grids, grids, motion.velocities, strict=True)
+        ]
+        return replace(motion, velocities=velocities)
+
 
 def refined_motion(
     clips: Sequence[SeenClip],
@@ -251,19 +270,28 @@ def refined_motion(
     """
     motion = RefinedMotion([clip.tracked.positions[: clip.n_frames] for clip in clips], None)
     s = settings.refining
-    for _ in range(s.rounds):
-        model = SessionModel(clips, motion, refining(settings), stiffness)
-        fit = model.fitting.fitted((), model.fitting.start_fit(workers), workers)
-        error = model.errors(fit).found
-        # The model may be righter than was thought: then images hold the motion more tightly next time.
-        before, motion = motion, replace(model.refined(fit), error=error)
-        if _change(before, motion) < s.steady * error * model.width:
-            break
+    coarse = replace(settings, side=min(s.side, settings.side))
+    firm = replace(coarse, fit=_rough(replace(settings.fit, passes=max(s.firm, 1))))
+    stages = ((refining(coarse), s.rounds), (firm, min(s.firm, 1)), (refining(settings), s.finer))
+    model: SessionModel | None = None
+    for of_rounds, rounds in stages:
+        for _ in range(rounds):
+            if model is not None and model.settings.side != of_rounds.side:
+                motion = model.moved_to(motion, [_grid(clip, of_rounds) for clip in clips])
+            model = SessionModel(clips, motion, of_rounds, stiffness)
+            fit = model.fitting.fitted((), model.fitting.start_fit(workers), workers)
+            error = model.errors(fit).found
+            # The model may be righter than was thought: then images hold the motion more tightly next time.
+            before, motion = motion, replace(model.refined(fit), error=error)
+            if _change(before, motion) < s.steady * error * model.width:
+                break
+    if model is not None and model.settings.side != settings.side:
+        motion = model.moved_to(motion, [_grid(clip, settings) for clip in clips])
     return with_error_found(clips, motion, settings, stiffness, workers)
 
 
 def refining(settings: SessionSettings) -> SessionSettings:
-    """The settings of one round of refining: looser jumps, few passes."""
+    """The settings of one loose round of refining: looser jumps, few passes."""
     s = settings.refining
     return replace(
         settings,
@@ -271,6 +299,11 @@ def refining(settings: SessionSettings) -> SessionSettings:
         jump_velocity=s.jumps * settings.jump_velocity,
         fit=replace(settings.fit, passes=s.passes),
     )
+
+
+def _rough(settings: JointFitSettings) -> JointFitSettings:
+    """Of a fit that another one follows."""
+    return replace(settings, converged=max(_ROUGH, settings.converged))
 
 
 def _change(before: RefinedMotion, after: RefinedMotion) -> float:
@@ -297,8 +330,10 @@ def with_error_found(
         workers: share the windows of a clip.
     """
     base: JointFit | None = None
-    for _ in range(settings.error_rounds):
-        model = SessionModel(clips, motion, settings, stiffness)
+    rough = replace(settings, fit=_rough(settings.fit))
+    for rounds_left in range(settings.error_rounds - 1, -1, -1):
+        # Another size of the errors moves the fit by more than what its last passes gain.
+        model = SessionModel(clips, motion, rough if rounds_left else settings, stiffness)
         fitting = model.fitting
         start = fitting.start_fit(workers) if base is None else fitting.costed((), base)
         base = fitting.fitted((), start, workers)

@@ -13,14 +13,17 @@ import pytest
 import toile.diagnosis.problem as problems
 import toile.diagnosis.session_stages as stages
 from toile.diagnosis.problem import DiagnosisProblem
-from toile.diagnosis.session_settings import SessionSettings
+from toile.diagnosis.session_settings import RefiningSettings, SessionSettings
 from toile.diagnosis.session_stages import RefinedMotion, refined_motion
 from toile.workers import ALONE
 
 WIDTH = 0.5
 TRUE = np.zeros((4, 9, 3))
 TRACKED = TRUE + 0.02
-SETTINGS = SessionSettings(error_rounds=0)
+SETTINGS = SessionSettings(
+    error_rounds=0, side=9, refining=RefiningSettings(side=6, rounds=7, firm=0, finer=0)
+)
+GRIDS = {side: SimpleNamespace(side=side) for side in (6, 9)}
 
 
 class _Rounds:
@@ -33,16 +36,26 @@ class _Rounds:
     def __init__(self, found: Sequence[float]) -> None:
         self.found = list(found)
         self.thought: list[float | None] = []
+        self.asked: list[SessionSettings] = []
+        self.began: list[int | None] = []
 
     def __call__(self, clips: Any, motion: RefinedMotion, settings: SessionSettings, stiffness: Any) -> Any:
         self.thought.append(motion.error)
+        self.asked.append(settings)
+        self.began.append(None if motion.velocities is None else int(motion.velocities[0][0, 0, 0]))
         kept = 0.7 if motion.error is None or motion.error > 0.001 else 0.1
         position = TRUE + kept * (motion.positions[0] - TRUE)
         error = self.found[len(self.thought) - 1]
         return SimpleNamespace(
             fitting=SimpleNamespace(start_fit=lambda workers: None, fitted=lambda *given: None),
             errors=lambda fit: SimpleNamespace(found=error),
-            refined=lambda fit: RefinedMotion([position], None),
+            refined=lambda fit: RefinedMotion(
+                [position], None, velocities=[np.full((4, 9, 3), settings.side)]
+            ),
+            moved_to=lambda motion, grids: replace(
+                motion, velocities=[np.full((4, 9, 3), grid.side) for grid in grids]
+            ),
+            settings=settings,
             width=WIDTH,
         )
 
@@ -50,6 +63,7 @@ class _Rounds:
 def rounds(monkeypatch: pytest.MonkeyPatch, found: Sequence[float], settings: SessionSettings) -> Any:
     model = _Rounds(found)
     monkeypatch.setattr(stages, "SessionModel", model)
+    monkeypatch.setattr(stages, "_grid", lambda clip, settings: GRIDS[settings.side])
     clip: Any = SimpleNamespace(tracked=SimpleNamespace(positions=TRACKED), n_frames=len(TRACKED))
     return model, refined_motion([clip], settings, (850.0, 0.5, 0.005), ALONE)
 
@@ -71,6 +85,29 @@ def test_rounds_end_where_the_motion_changes_by_less_than_the_model_is_wrong_by(
     # A model that is wrong by more than the motion changes cannot make it better.
     wrong, _ = rounds(monkeypatch, [0.02] * 7, SETTINGS)
     assert len(wrong.thought) == 2
+
+
+def test_coarse_rounds_come_first_then_a_firm_one_and_the_whole_model(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    every = replace(SETTINGS, refining=RefiningSettings(side=6, rounds=3, firm=5, finer=2, steady=0.0))
+    model, motion = rounds(monkeypatch, [0.0005] * 6, every)
+    assert [asked.side for asked in model.asked] == [6, 6, 6, 6, 9, 9]
+    loose, jump = every.refining.jumps * every.jump_position, every.jump_position
+    assert [asked.jump_position for asked in model.asked] == [loose] * 3 + [jump] + [loose] * 2
+    assert [asked.fit.passes for asked in model.asked] == [2, 2, 2, 5, 2, 2]
+    # Velocities are of the grid on which a round begins, the last ones of that of the comparison.
+    assert model.began == [None, 6, 6, 6, 9, 9]
+    assert motion.velocities[0][0, 0, 0] == 9
+    coarse = replace(every, refining=replace(every.refining, finer=0))
+    model, motion = rounds(monkeypatch, [0.0005] * 4, coarse)
+    assert [asked.side for asked in model.asked] == [6] * 4
+    assert motion.velocities[0][0, 0, 0] == 9
+    # A model that is as coarse already has no finer one.
+    small = replace(every, side=4)
+    monkeypatch.setitem(GRIDS, 4, SimpleNamespace(side=4))
+    model, _ = rounds(monkeypatch, [0.0005] * 6, small)
+    assert [asked.side for asked in model.asked] == [4] * 6
 
 
 def test_images_are_looked_at_anew_only_where_the_motion_or_the_grid_is_another(
