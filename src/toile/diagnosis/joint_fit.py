@@ -503,8 +503,8 @@ class JointFitting:
         """A hypothesis at its best, from where the base model has ended: it cannot be worse.
 
         Where the base model has lost the stiffness that the effect works against, a fit begins with that as
-        it usually is as well, see ``has_lost_its_stiffness``; the one that soon explains more goes on, if a
-        cloth can be like that.
+        it usually is, see ``has_lost_its_stiffness``. It goes on if it soon explains more than the base model
+        does and a cloth can be like that; if not, the effect does nothing.
 
         Args:
             effect: in question.
@@ -517,10 +517,19 @@ class JointFitting:
             return self.fitted(hypothesis, base, workers)
         brief = copy.copy(self)
         brief.settings = replace(self.settings, passes=min(_FIRST_PASSES, self.settings.passes))
-        tried = [brief.fitted(hypothesis, one, workers, spread=False) for one in (base, begin)]
-        best = min(tried, key=lambda fit: fit.misfit)
-        # What no cloth has says nothing, at its best fit either.
-        return self.fitted(hypothesis, best, workers) if best.possible else best
+        tried = brief.fitted(hypothesis, begin, workers, spread=False)
+        if tried.possible and tried.misfit < base.misfit:
+            return self.fitted(hypothesis, tried, workers)
+        # From where the base model has ended it would push a cloth that resists nothing.
+        return self._nothing_said(effect, base)
+
+    def _nothing_said(self, effect: Effect, base: JointFit) -> JointFit:
+        """The base model as a hypothesis whose own effect does nothing."""
+        there = self.with_effect_at_zero(base, effect)
+        n, deviation = len(base.coefficients), self._deviation_of(effect, base.values)
+        return replace(
+            there, n_usual=n, size=self.settings.inflation(effect), deviation=deviation, possible=True
+        )
 
     def has_lost_its_stiffness(self, effect: Effect, base: JointFit) -> bool:
         """Whether the base model has next to nothing of the stiffness against which an effect works.

@@ -226,29 +226,49 @@ class SessionModel:
         found = replace(found, error=motion.error)
         return SessionModel(seen, found, self.settings, self._stiffness, own).fitting.clips[0]
 
-    def refined(self, fit: JointFit) -> RefinedMotion:
-        """The motion of a fit, on the scenes' grids."""
+    def refined(self, fit: JointFit, details: RefinedMotion | None = None) -> RefinedMotion:
+        """The motion of a fit, on the scenes' grids.
+
+        Args:
+            fit: of this model.
+            details: the motion of which it has what this model's grid cannot have; None: nothing.
+        """
         positions = []
-        for clip, grid, windows in zip(self.fitting.clips, self.grids, fit.windows, strict=True):
-            frames = frame_positions(clip.shooting, windows)
-            positions.append(np.einsum("vn,fnc->fvc", grid.prolong, frames))
+        for c, (clip, grid) in enumerate(zip(self.fitting.clips, self.grids, strict=True)):
+            frames = frame_positions(clip.shooting, fit.windows[c])
+            if details is not None:
+                frames = frames - np.einsum("nv,fvc->fnc", grid.restrict, details.positions[c])
+            found = np.einsum("vn,fnc->fvc", grid.prolong, frames)
+            positions.append(found if details is None else details.positions[c] + found)
         pairs = zip(self.fitting.clips, fit.windows, strict=True)
         velocities = [fitted_velocities(clip.shooting, windows) for clip, windows in pairs]
         return RefinedMotion(positions, fit.values, velocities=velocities)
 
-    def moved_to(self, motion: RefinedMotion, grids: Sequence[ModelGrid]) -> RefinedMotion:
-        """The same motion with velocities for a model on other grids.
 
-        Args:
-            motion: refined by this model.
-            grids: of every clip.
-        """
-        assert motion.velocities is not None
-        velocities = [
-            np.einsum("mv,vn,fnc->fmc", there.restrict, here.prolong, v, optimize=True)
-            for here, there, v in zip(self.grids, grids, motion.velocities, strict=True)
-        ]
-        return replace(motion, velocities=velocities)
+def model_grids(clips: Sequence[SeenClip], settings: SessionSettings) -> list[ModelGrid]:
+    """The grid of the model in every clip."""
+    return [_grid(clip, settings) for clip in clips]
+
+
+def on_other_grids(
+    motion: RefinedMotion, before: Sequence[ModelGrid], grids: Sequence[ModelGrid]
+) -> RefinedMotion:
+    """The same motion with velocities for a model on other grids.
+
+    Args:
+        motion: with velocities on the grids ``before``, if it has any.
+        before: grids of every clip.
+        grids: the other ones.
+    """
+    same = all(here.grid == there.grid for here, there in zip(before, grids, strict=True))
+    if motion.velocities is None or same:
+        return motion
+    velocities = [
+        np.einsum("mv,vn,fnc->fmc", there.restrict, here.prolong, v, optimize=True)
+        for here, there, v in zip(before, grids, motion.velocities, strict=True)
+    ]
+    # Unknowns of windows are of positions and velocities that are others now.
+    return replace(motion, velocities=velocities, unknowns=None)
 
 
 def refined_motion(
@@ -273,20 +293,20 @@ def refined_motion(
     coarse = replace(settings, side=min(s.side, settings.side))
     firm = replace(coarse, fit=_rough(replace(settings.fit, passes=max(s.firm, 1))))
     stages = ((refining(coarse), s.rounds), (firm, min(s.firm, 1)), (refining(settings), s.finer))
-    model: SessionModel | None = None
+    on = model_grids(clips, coarse)
     for of_rounds, rounds in stages:
+        before_on, on = on, model_grids(clips, of_rounds)
+        motion = on_other_grids(motion, before_on, on)
         for _ in range(rounds):
-            if model is not None and model.settings.side != of_rounds.side:
-                motion = model.moved_to(motion, [_grid(clip, of_rounds) for clip in clips])
             model = SessionModel(clips, motion, of_rounds, stiffness)
             fit = model.fitting.fitted((), model.fitting.start_fit(workers), workers)
             error = model.errors(fit).found
             # The model may be righter than was thought: then images hold the motion more tightly next time.
-            before, motion = motion, replace(model.refined(fit), error=error)
+            of_details = motion if of_rounds.side < settings.side else None
+            before, motion = motion, replace(model.refined(fit, of_details), error=error)
             if _change(before, motion) < s.steady * error * model.width:
                 break
-    if model is not None and model.settings.side != settings.side:
-        motion = model.moved_to(motion, [_grid(clip, settings) for clip in clips])
+    motion = on_other_grids(motion, on, model_grids(clips, settings))
     return with_error_found(clips, motion, settings, stiffness, workers)
 
 

@@ -458,8 +458,22 @@ class TestLostStiffness:
         goes_on = fitting.fitted_hypothesis(curvature, soft)
         monkeypatch.setattr(RestCurvature, "is_possible", lambda self, material: False)
         given_up = fitting.fitted_hypothesis(curvature, soft)
-        assert len(given_up.history) < len(goes_on.history)
+        assert goes_on.evidence(soft).drop > 10
+        assert given_up.history == soft.history
+        assert given_up.misfit == soft.misfit
+        assert given_up.names == (curvature.NAME,)
         assert given_up.evidence(soft).drop == 0
+        assert given_up.evidence(soft).nats() == pytest.approx(0.0, abs=1e-9)
+
+    def test_with_its_stiffness_it_must_explain_more_than_without(
+        self, curled: tuple[JointFitting, JointFit, Effect]
+    ) -> None:
+        """From where it is lost a moment always explains a little: as a force that nothing resists."""
+        fitting, soft, curvature = curled
+        better = replace(soft, misfit=soft.misfit - 1e6)
+        found = fitting.fitted_hypothesis(curvature, better)
+        assert found.misfit == better.misfit
+        assert not found.own.any()
 
     @pytest.mark.parametrize(("of_mode", "possible"), [(0.0, True), (0.9, False), (-0.9, False)])
     def test_the_tightest_place_counts(self, of_mode: float, possible: bool) -> None:

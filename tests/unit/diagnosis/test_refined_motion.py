@@ -12,9 +12,10 @@ import pytest
 
 import toile.diagnosis.problem as problems
 import toile.diagnosis.session_stages as stages
+from toile.diagnosis.model_grid import spline_matrix
 from toile.diagnosis.problem import DiagnosisProblem
 from toile.diagnosis.session_settings import RefiningSettings, SessionSettings
-from toile.diagnosis.session_stages import RefinedMotion, refined_motion
+from toile.diagnosis.session_stages import RefinedMotion, SessionModel, refined_motion
 from toile.workers import ALONE
 
 WIDTH = 0.5
@@ -39,6 +40,10 @@ class _Rounds:
         self.asked: list[SessionSettings] = []
         self.began: list[int | None] = []
 
+    def _refined(self, details: RefinedMotion | None, settings: SessionSettings) -> None:
+        # The whole model's motion has no details that it cannot have.
+        assert (details is not None) == (settings.side < SETTINGS.side)
+
     def __call__(self, clips: Any, motion: RefinedMotion, settings: SessionSettings, stiffness: Any) -> Any:
         self.thought.append(motion.error)
         self.asked.append(settings)
@@ -49,21 +54,26 @@ class _Rounds:
         return SimpleNamespace(
             fitting=SimpleNamespace(start_fit=lambda workers: None, fitted=lambda *given: None),
             errors=lambda fit: SimpleNamespace(found=error),
-            refined=lambda fit: RefinedMotion(
-                [position], None, velocities=[np.full((4, 9, 3), settings.side)]
+            refined=lambda fit, details: (
+                self._refined(details, settings)
+                or RefinedMotion([position], None, velocities=[np.full((4, 9, 3), settings.side)])
             ),
-            moved_to=lambda motion, grids: replace(
-                motion, velocities=[np.full((4, 9, 3), grid.side) for grid in grids]
-            ),
-            settings=settings,
             width=WIDTH,
         )
+
+
+def _moved(motion: RefinedMotion, before: Any, grids: Any) -> RefinedMotion:
+    if motion.velocities is None:
+        return motion
+    assert motion.velocities[0][0, 0, 0] == before[0].side
+    return replace(motion, velocities=[np.full((4, 9, 3), grid.side) for grid in grids])
 
 
 def rounds(monkeypatch: pytest.MonkeyPatch, found: Sequence[float], settings: SessionSettings) -> Any:
     model = _Rounds(found)
     monkeypatch.setattr(stages, "SessionModel", model)
     monkeypatch.setattr(stages, "_grid", lambda clip, settings: GRIDS[settings.side])
+    monkeypatch.setattr(stages, "on_other_grids", _moved)
     clip: Any = SimpleNamespace(tracked=SimpleNamespace(positions=TRACKED), n_frames=len(TRACKED))
     return model, refined_motion([clip], settings, (850.0, 0.5, 0.005), ALONE)
 
@@ -104,10 +114,9 @@ def test_coarse_rounds_come_first_then_a_firm_one_and_the_whole_model(
     assert [asked.side for asked in model.asked] == [6] * 4
     assert motion.velocities[0][0, 0, 0] == 9
     # A model that is as coarse already has no finer one.
-    small = replace(every, side=4)
-    monkeypatch.setitem(GRIDS, 4, SimpleNamespace(side=4))
+    small = replace(every, refining=replace(every.refining, side=20))
     model, _ = rounds(monkeypatch, [0.0005] * 6, small)
-    assert [asked.side for asked in model.asked] == [4] * 6
+    assert [asked.side for asked in model.asked] == [9] * 6
 
 
 def test_images_are_looked_at_anew_only_where_the_motion_or_the_grid_is_another(
@@ -132,3 +141,26 @@ def test_images_are_looked_at_anew_only_where_the_motion_or_the_grid_is_another(
     assert problem.images_around(positions, grids[1]).positions is not None
     assert problem.images_around(positions[:2], grids[1]).positions.shape == (2, 9, 3)
     assert len(looked) == 4
+
+
+def test_what_a_coarse_grid_cannot_have_of_a_motion_stays() -> None:
+    fine, coarse = 9, 5
+    to_fine = spline_matrix(np.linspace(0, 1, coarse), np.linspace(0, 1, fine))
+    to_coarse = spline_matrix(np.linspace(0, 1, fine), np.linspace(0, 1, coarse))
+    rng = np.random.default_rng(0)
+    smooth = np.einsum("vn,fnc->fvc", to_fine, rng.standard_normal((4, coarse, 3)))
+    creased = smooth + 0.01 * np.sin(3 * np.pi * np.linspace(0, 1, fine))[None, :, None]
+    moved = np.einsum("vn,fnc->fvc", to_fine, rng.standard_normal((4, coarse, 3)))
+    positions = np.einsum("nv,fvc->fnc", to_coarse, creased + moved)
+    model: Any = SimpleNamespace(
+        grids=[SimpleNamespace(prolong=to_fine, restrict=to_coarse)],
+        fitting=SimpleNamespace(clips=[SimpleNamespace(shooting=SimpleNamespace(substeps=1))]),
+    )
+    windows = [SimpleNamespace(positions=positions[k : k + 2], start=None, last=k + 1) for k in range(3)]
+    fit: Any = SimpleNamespace(windows=[windows], values=None)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(stages, "fitted_velocities", lambda shooting, windows: np.zeros((4, coarse, 3)))
+        with_details = SessionModel.refined(model, fit, RefinedMotion([creased], None))
+        without = SessionModel.refined(model, fit)
+    np.testing.assert_allclose(with_details.positions[0], creased + moved, atol=1e-12)
+    assert np.abs(without.positions[0] - (creased + moved)).max() > 0.002
