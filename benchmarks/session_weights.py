@@ -1,9 +1,12 @@
 """Learn what evidence of a session is worth: docs/results/session_weights.md, and the package's weights.
 
-    python benchmarks/session_weights.py  # from docs/results/session_evidence*.csv, see make session-ladder
+    python benchmarks/session_weights.py  # from docs/results/session_evidence_finer.csv
     python benchmarks/session_weights.py --graded outputs/blind_predictions/NAME=MARKS.csv
         # adds a graded set first, or FOLDER alone: diagnoses of sessions of the ladder, by name
     python benchmarks/session_weights.py --into TABLE.csv --graded ...  # keeps them, nothing is learnt
+
+Evidence is worth what the model is wrong by, so only models as fine as those of today teach; the other tables
+are of models of 14 x 14 even vertices.
 
 Weights are judged on an engine that they were not learnt from. Sessions of the engine that is for sealed sets
 alone never teach.
@@ -52,17 +55,16 @@ LEFT_OUT = ("gravity_tilt",)
 
 _FREED_SIZE = "moves the cloth from outside by [% of the width]"
 
-GRADED = RESULTS / "session_evidence_graded.csv"
-"""Evidence of sealed sessions, made once their labels are open."""
-SINCE = RESULTS / "session_evidence_since.csv"
-"""The same of later sets, with what was judged beside free forces."""
-OUTSIDE_SET = RESULTS / "session_evidence_outside.csv"
-"""That of the set that asked for causes from outside the catalogue."""
+FINER = RESULTS / "session_evidence_finer.csv"
+"""Evidence of sessions with open labels, the sealed sets' among them, by models of 20 x 20 vertices."""
 SIZES_SEEN = RESULTS / "holders.csv"
 """By how much sides seem to change, by session: benchmarks/holders.py."""
 NEVER_LEARNT_FROM = "mujoco"
 """An engine for sealed sets alone."""
-FIXED = tuple(f.name for f in fields(SessionWeights) if f.name.startswith(("outside_", "resiz", "slip_")))
+FIXED = (
+    "outside_spread",
+    *(f.name for f in fields(SessionWeights) if f.name.startswith(("resiz", "slip_"))),
+)
 """Learnt elsewhere: benchmarks/outside_causes.py, holders.py."""
 RIVALS = (1e9, 32.0, 16.0, 8.0, 4.0)
 """Values of ``rivals`` among which one is chosen [nats]; with the first the law is not asked."""
@@ -121,15 +123,18 @@ def cases_of(table: pd.DataFrame) -> list[SessionCase]:
 
 
 def graded_evidence(folder: Path, marks: pd.DataFrame) -> pd.DataFrame:
-    """Evidence of a graded set in the form of session_evidence.csv.
+    """Evidence of sealed sessions with open labels in the form of session_evidence.csv.
 
     Args:
-        folder: of the predictions from first clips, every session in a folder of its own.
+        folder: of diagnoses of first clips, every session in a folder of its own.
         marks: of all sessions, see docs/results/blind_sessions_marks.csv.
     """
     rows: list[dict[str, object]] = []
-    of_motion = marks[(marks["clips"].astype(str) == "1") & ~marks["of_the_image"]]
+    of_motion = marks[~marks["of_the_image"]].drop_duplicates("scene")
     for mark in of_motion.itertuples():
+        if not (folder / str(mark.scene) / EVIDENCE_FILE).is_file():
+            # Of another set, or not answered.
+            continue
         rows += _rows(folder / str(mark.scene), str(mark.scene), str(mark.generator), str(mark.truth))
     return pd.DataFrame(rows)
 
@@ -138,6 +143,9 @@ def developed_evidence(folder: Path) -> pd.DataFrame:
     """The same of diagnoses from first clips of sessions that session_ladder names."""
     rows: list[dict[str, object]] = []
     for run in sorted(path.parent for path in folder.glob(f"*/{EVIDENCE_FILE}")):
+        if run.name.count("_") < 2:
+            # A sealed session, whose folder tells nothing.
+            continue
         engine = "blender" if run.name.startswith(BLENDER) else "toile"
         rows += _rows(run, run.name, engine, cause_of(run.name))
     return pd.DataFrame(rows)
@@ -178,9 +186,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     help_ = "FOLDER=MARKS.csv of graded sets, FOLDER of others"
     parser.add_argument("--graded", nargs="+", default=[], help=help_)
-    parser.add_argument("--into", type=Path, default=GRADED, help="another table than that which teaches")
+    parser.add_argument("--into", type=Path, default=FINER, help="another table than that which teaches")
     given = parser.parse_args()
-    if given.into != GRADED and not given.graded:
+    if given.into != FINER and not given.graded:
         parser.error("--into: expected --graded beside it, got nothing to keep")
     for one in given.graded:
         folder, _, marks = str(one).partition("=")
@@ -189,22 +197,14 @@ def main() -> None:
             there = pd.read_csv(given.into)
             new = pd.concat([there[~there["session"].isin(new["session"])], new])
         write_text(given.into, new.to_csv(index=False, float_format="%.5g"))
-    if given.into != GRADED:
+    if given.into != FINER:
         return
     write(known_cases())
 
 
 def known_cases() -> dict[str, list[SessionCase]]:
     """Cases with open labels by the engine that made them."""
-    ladder = cases_of(pd.read_csv(RESULTS / "session_evidence.csv"))
-    found = {
-        "toile": [case for case in ladder if not case.session.startswith(BLENDER)],
-        "blender": [case for case in ladder if case.session.startswith(BLENDER)],
-    }
-    graded = pd.concat([pd.read_csv(path) for path in (GRADED, SINCE, OUTSIDE_SET)])
-    for engine, own in graded.groupby("engine"):
-        found.setdefault(str(engine), []).extend(cases_of(own))
-    return found
+    return {str(engine): cases_of(own) for engine, own in pd.read_csv(FINER).groupby("engine")}
 
 
 def write(cases: Mapping[str, Sequence[SessionCase]]) -> None:
@@ -256,13 +256,12 @@ def write(cases: Mapping[str, Sequence[SessionCase]]) -> None:
     lines = [
         "# Weights of a session's evidence",
         "",
-        "Made by `python benchmarks/session_weights.py` from `session_evidence.csv` (`make session-ladder`), "
-        "`session_evidence_graded.csv`, `session_evidence_since.csv` and `session_evidence_outside.csv` "
-        f"(sealed sets after grading, sessions of development), and `holders.csv`: {len(everything)} "
-        f"cases of {n} generated sessions of {len(teaching)} engines, open labels. Development data, no "
-        "blind check; `strange` and `strangeness` are set by hand, weights of causes from outside in "
-        "[outside_causes.md](outside_causes.md), of the apparent size in "
-        "[holders.md](holders.md).",
+        "Made by `python benchmarks/session_weights.py` from `session_evidence_finer.csv` (first clips of "
+        "sealed sets after grading and of sessions of the ladder, by models of 20 × 20 crowded vertices) "
+        f"and `holders.csv`: {len(everything)} cases of {n} generated sessions of {len(teaching)} engines, "
+        "open labels. Development data, no blind check; `strange` and `strangeness` are set by hand, the "
+        "spread of sizes from outside is of [outside_causes.md](outside_causes.md), weights of the "
+        "apparent size and of slips of [holders.md](holders.md).",
         "",
         "## An engine that taught nothing",
         "",
