@@ -193,6 +193,8 @@ def main() -> None:
     for one in given.graded:
         folder, _, marks = str(one).partition("=")
         new = graded_evidence(Path(folder), pd.read_csv(marks)) if marks else developed_evidence(Path(folder))
+        if new.empty:
+            parser.error(f"--graded {one}: expected evidence of a session of it, got none in {folder}")
         if given.into.is_file():
             there = pd.read_csv(given.into)
             new = pd.concat([there[~there["session"].isin(new["session"])], new])
@@ -301,8 +303,8 @@ def write(cases: Mapping[str, Sequence[SessionCase]]) -> None:
         "`stand_in`: evidence under the law that a stand-in for what the catalogue lacks needs beyond what "
         "an effect does; `outside_stand_in`: the same beside free forces; `searched`: the same of contact "
         "with the best of many obstacles, under the law. Chosen together, with the least loss on the "
-        "sessions that have both, the largest of equals. A cause left out: handicaps "
-        "chosen without any session of it.",
+        "sessions that have both, the largest of equals, unless those of before lose no more than one "
+        "standard error beside them. A cause left out: handicaps chosen without any session of it.",
         "",
         of_handicaps.to_markdown(index=False, floatfmt=".3f"),
         "",
@@ -352,7 +354,10 @@ def _rivals(
 def _handicaps(
     weights: SessionWeights, teaching: Sequence[SessionCase]
 ) -> tuple[dict[str, float], pd.DataFrame]:
-    """Handicaps with the least loss, and the answers to every kind by handicaps that have not seen it."""
+    """Handicaps with the least loss, and the answers to every kind by handicaps that have not seen it.
+
+    Those of before stay where they lose no more than one standard error.
+    """
     cases = [case for case in teaching if set(STAND_INS) & set(case.evidence.effects)]
     names = ("stand_in", "outside_stand_in", "searched")
     # The most cautious first, so that of equals it stays.
@@ -380,7 +385,12 @@ def _handicaps(
                 "named wrongly": sum(wrong),
             }
         )
-    return tried[int(losses.mean(1).argmin())], pd.DataFrame(rows)
+    best = int(losses.mean(1).argmin())
+    before = {name: getattr(weights, name) for name in names}
+    # As with the rivals: what a handful of cases more would turn round is no reason.
+    more = _losses(cases, weights) - losses[best]
+    stay = float(more.mean()) <= float(more.std(ddof=1)) / np.sqrt(len(more))
+    return before if stay else tried[best], pd.DataFrame(rows)
 
 
 def _losses(cases: Sequence[SessionCase], weights: SessionWeights) -> Array:
