@@ -3,6 +3,7 @@
     python benchmarks/session_weights.py  # from docs/results/session_evidence_finer.csv
     python benchmarks/session_weights.py --graded outputs/blind_predictions/NAME=MARKS.csv
         # adds a graded set first, or FOLDER alone: diagnoses of sessions of the ladder, by name
+    python benchmarks/session_weights.py --ship  # puts what is best on these cases into the package
     python benchmarks/session_weights.py --into TABLE.csv --graded ...  # keeps them, nothing is learnt
 
 Evidence is worth what the model is wrong by, so only models as fine as those of today teach; the other tables
@@ -187,6 +188,7 @@ def main() -> None:
     help_ = "FOLDER=MARKS.csv of graded sets, FOLDER of others"
     parser.add_argument("--graded", nargs="+", default=[], help=help_)
     parser.add_argument("--into", type=Path, default=FINER, help="another table than that which teaches")
+    parser.add_argument("--ship", action="store_true", help="put the weights into the package")
     given = parser.parse_args()
     if given.into != FINER and not given.graded:
         parser.error("--into: expected --graded beside it, got nothing to keep")
@@ -201,7 +203,7 @@ def main() -> None:
         write_text(given.into, new.to_csv(index=False, float_format="%.5g"))
     if given.into != FINER:
         return
-    write(known_cases())
+    write(known_cases(), ship=given.ship)
 
 
 def known_cases() -> dict[str, list[SessionCase]]:
@@ -209,8 +211,8 @@ def known_cases() -> dict[str, list[SessionCase]]:
     return {str(engine): cases_of(own) for engine, own in pd.read_csv(FINER).groupby("engine")}
 
 
-def write(cases: Mapping[str, Sequence[SessionCase]]) -> None:
-    """The page, and the weights that are shipped: those that say most of an engine they have not seen."""
+def write(cases: Mapping[str, Sequence[SessionCase]], *, ship: bool) -> None:
+    """The page, and with ``ship`` the weights: those that say most of an engine they have not seen."""
     before = SessionWeights.load()
     teaching = {engine: list(own) for engine, own in cases.items() if engine != NEVER_LEARNT_FROM}
     everything = [case for own in teaching.values() for case in own]
@@ -234,7 +236,7 @@ def write(cases: Mapping[str, Sequence[SessionCase]]) -> None:
             asked = [(case, by_engine[engine]) for engine, own in teaching.items() for case in own]
             losses.append(np.array([lapsed_loss(case.chances(w)[case.cause]) for case, w in asked]))
             about = {"weights": which, "law_spread": spread}
-            others = _score([(case, of_all) for case in unseen], f", {NEVER_LEARNT_FROM}")
+            others = _of_unseen(unseen, of_all)
             rows.append(about | _score(asked, "") | others)
             print(rows[-1], flush=True)
     table = pd.DataFrame(rows)
@@ -247,14 +249,17 @@ def write(cases: Mapping[str, Sequence[SessionCase]]) -> None:
     weights = replace(weights, **handicaps)
     source = json.loads(SHIPPED.read_text())["source"]
     n = len({case.session for case in everything})
-    if weights != before:
+    scored = (".3f", "g", "g") * (2 if unseen else 1)
+    chosen = "Shipped" if ship else "Best on these cases, not shipped"
+    if ship and weights != before:
         within = "" if best["weights"] == "as before" else " and all within the cloth"
         how = f"law_spread, rivals, stand-ins{within}"
         added = f"{how}: {n} sessions of docs/results/session_weights.md"
         weights.write(SHIPPED, source if source.endswith(added) else f"{source}; {added}")
     shown = {"index": False, "floatfmt": ".2f"}
-    without = replace(weights, law_spread=0.0)
-    answers = {name: _answers(own, without, weights) for name, own in cases.items()}
+    answering = weights if ship else before
+    without = replace(answering, law_spread=0.0)
+    answers = {name: _answers(own, without, answering) for name, own in cases.items()}
     lines = [
         "# Weights of a session's evidence",
         "",
@@ -270,14 +275,15 @@ def write(cases: Mapping[str, Sequence[SessionCase]]) -> None:
         "What carries over to a cloth unlike those that taught: *learnt* are weights that the engine asked "
         "about had no part in; *as before* are those of the package, all but `law_spread`. Loss: mean "
         "negative log probability of the cause, cases of all teaching engines alike; named: with "
-        f"{SessionSettings().named:g} and more. MuJoCo's columns choose nothing.",
+        f"{SessionSettings().named:g} and more."
+        + (" MuJoCo's columns choose nothing." if unseen else " MuJoCo has no case of such models yet."),
         "",
-        table.to_markdown(index=False, floatfmt=("", "g", ".3f", "g", "g", ".3f", "g", "g")),
+        table.to_markdown(index=False, floatfmt=("", "g", *scored)),
         "",
-        f"Shipped: {best['weights']}, `law_spread` {spread:g}, the widest within one standard error of "
+        f"{chosen}: {best['weights']}, `law_spread` {spread:g}, the widest within one standard error of "
         "the least loss: a wrong name costs more than none.",
         "",
-        "| weight | before | shipped | learnt from all, for that spread |",
+        "| weight | before | chosen | learnt from all, for that spread |",
         "|---|---|---|---|",
         *(
             f"| {f.name} | {getattr(before, f.name):.3g} | {getattr(weights, f.name):.3g} "
@@ -292,9 +298,9 @@ def write(cases: Mapping[str, Sequence[SessionCase]]) -> None:
         "grow e-fold, by `farthest` e-folds at most, all else as before; *no* asks the free forces alone. "
         "All teaching cases; two numbers, chosen on the same cases.",
         "",
-        of_rivals.to_markdown(index=False, floatfmt=("", "g", ".4f", "g", "g", ".3f", "g", "g")),
+        of_rivals.to_markdown(index=False, floatfmt=("", "g", ".4f", *scored[1:])),
         "",
-        f"Shipped: {asked_of_law['rivals']:g} and {asked_of_law['farthest']:g}; of those with "
+        f"{chosen}: {asked_of_law['rivals']:g} and {asked_of_law['farthest']:g}; of those with "
         f"fewest wrong names and a loss within {_EQUAL:g} of the least that with the smallest `farthest`, "
         "unless those of before name as few wrongly and lose no more than one standard error.",
         "",
@@ -308,12 +314,13 @@ def write(cases: Mapping[str, Sequence[SessionCase]]) -> None:
         "",
         of_handicaps.to_markdown(index=False, floatfmt=".3f"),
         "",
-        "Shipped: " + ", ".join(f"{name} {value:g}" for name, value in handicaps.items()) + ".",
+        f"{chosen}: " + ", ".join(f"{name} {value:g}" for name, value in handicaps.items()) + ".",
         "",
     ]
+    lines += ["## Answers by the weights of the package", ""]
     for engine, own in answers.items():
         about = " (never teaches)" if engine == NEVER_LEARNT_FROM else ""
-        lines += [f"## Cases: {engine}{about}", "", _summary(own), "", own.to_markdown(**shown), ""]
+        lines += [f"### Cases: {engine}{about}", "", _summary(own), "", own.to_markdown(**shown), ""]
     write_text(RESULTS / "session_weights.md", "\n".join(lines))
     print("\n".join(lines))
 
@@ -335,7 +342,7 @@ def _rivals(
         asking = replace(weights, **one)
         scores.append(_score([(case, asking) for case in teaching], ""))
         losses.append(_losses(teaching, asking))
-        others = _score([(case, asking) for case in unseen], f", {NEVER_LEARNT_FROM}")
+        others = _of_unseen(unseen, asking)
         name = "no" if one["rivals"] == RIVALS[0] else f"{one['rivals']:g}"
         rows.append({"rivals [nats]": name, "farthest": one["farthest"]} | scores[-1] | others)
     fewest = min(int(score["wrongly"]) for score in scores)
@@ -425,6 +432,11 @@ def _score(asked: Sequence[tuple[SessionCase, SessionWeights]], suffix: str) -> 
         right += int(named == case.cause)
         wrong += int(named not in ("", case.cause))
     return {f"loss{suffix}": loss, f"named{suffix}": right, f"wrongly{suffix}": wrong}
+
+
+def _of_unseen(cases: Sequence[SessionCase], weights: SessionWeights) -> dict[str, float]:
+    """The same of the engine that never teaches; nothing where it has no case."""
+    return _score([(case, weights) for case in cases], f", {NEVER_LEARNT_FROM}") if cases else {}
 
 
 def _answers(cases: Sequence[SessionCase], without: SessionWeights, weights: SessionWeights) -> pd.DataFrame:
