@@ -407,6 +407,9 @@ def test_clips_of_a_session_have_one_answer(
     assert ("contact" in report.session.probabilities) == searched
     assert len(report.where.frames) == 24
     assert set(report.session.material) >= {"stretching", "shearing", "bending"}
+    neither = sum(report.session.probabilities.get(name, 0.0) for name in ("none", "unknown"))
+    assert sum(report.where.stages.values()) == pytest.approx(1 - neither)
+    assert "How probable it is that the gap lies in a stage" in (tmp_path / "index.html").read_text()
     asked = report.session.expected_information
     assert (report.verdict.effect in ("ambiguous", "unknown")) == bool(asked)
     assert report.session.next_clip in ("", *list(asked)[:1])

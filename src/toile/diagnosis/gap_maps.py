@@ -100,3 +100,16 @@ def stage_shares(
     rest = 1 - numerics
     shares = {stage: rest * value / total if total > 0 else 0.0 for stage, value in stages.items()}
     return {Stage.NUMERICS.value: numerics, **shares}
+
+
+def stage_chances(chances: Mapping[str, float]) -> dict[str, float]:
+    """How probable it is that the gap lies in each stage; what is missing is none, or outside the catalogue.
+
+    Args:
+        chances: probabilities by effect; names that are no effect belong to no stage.
+    """
+    stages: dict[str, float] = {}
+    for name, chance in chances.items():
+        if name in STAGES:
+            stages[STAGES[name].value] = stages.get(STAGES[name].value, 0.0) + chance
+    return stages

@@ -161,7 +161,7 @@ class Where:
     """Where the gap lies.
 
     Attributes:
-        stages: share of the gap by stage.
+        stages: share of the gap by stage; of a session how probable it is that the gap lies there.
         frames: score of every frame, mean distance of base model and tracked motion over the clip's median.
         vertices: path, relative to the file, of an (H, W) array of scores (.npy), None if not written.
         regimes: score by regime, e.g. "slack".

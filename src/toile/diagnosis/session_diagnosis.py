@@ -23,7 +23,7 @@ from toile.diagnosis.effect_sensitivities import FORCES
 from toile.diagnosis.effect_size import Displacement, displacement
 from toile.diagnosis.findings import estimates, finding
 from toile.diagnosis.fingerprint import fingerprint
-from toile.diagnosis.gap_maps import stage_shares
+from toile.diagnosis.gap_maps import stage_chances
 from toile.diagnosis.holder_slips import with_slips
 from toile.diagnosis.joint_fit import JointFit
 from toile.diagnosis.learned.decision import WEIGHTS, LearnedDecision
@@ -430,7 +430,6 @@ def _report(
         if gain >= _LEAST_GAIN:
             following = best
             verdict = replace(verdict, next_recording=f"another clip, {best}: {MOTIONS[best]}")
-    scores = {name: max(one.log_evidence, 0.0) for name, one in findings.items()}
     mean = np.concatenate(distances).mean((1, 2))
     drops = {**image_evidence, **evidence.drops}
     # What may be moving the cloth, even where that may as well be nothing.
@@ -439,7 +438,7 @@ def _report(
     return GapReport(
         verdict,
         Where(
-            stage_shares(scores, calibration, 0.0),
+            stage_chances(evidence.chances),
             tuple((mean / max(float(np.median(mean)), 1e-9)).tolist()),
             VERTICES_FILE,
         ),
