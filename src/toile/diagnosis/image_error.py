@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from toile.diagnosis.image_information import dense
+from toile.diagnosis.image_information import as_array
 from toile.diagnosis.tracked import Tracked
 
 Array = NDArray[np.float64]
@@ -42,7 +42,7 @@ class ImageError:
         Directions that they know nothing of stay as tracked.
         """
         if frame not in self._favoured:
-            matrix = np.asarray(dense(self._tracked.information[frame]), np.float64)
+            matrix = np.asarray(as_array(self._tracked.information[frame]), np.float64)
             self._known[frame] = float(matrix.diagonal().sum())
             known = matrix + _PRIOR * matrix.diagonal().max() * np.eye(len(matrix))
             slope = self._tracked.gradient[frame].reshape(-1)

@@ -49,6 +49,6 @@ Information: TypeAlias = Single | sparse.csr_matrix | SoftenedInformation
 """Of one frame (3N, 3N) [1/m²]: dense, sparse on the scene's own grid, or softened."""
 
 
-def dense(information: Information) -> Single:
+def as_array(information: Information) -> Single:
     """The matrix as an array (n, n) [1/m²]."""
     return np.asarray(information if isinstance(information, np.ndarray) else information.toarray())

@@ -9,7 +9,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from toile.diagnosis.image_information import dense
 from toile.diagnosis.joint_fit import JointClip, tracked_windows
 from toile.diagnosis.shooting import Base, Shooting
 from toile.diagnosis.tracked import Tracked
@@ -129,9 +128,8 @@ def planned_clip(
     boundary = begin[pinned] + path[:, None, None] * across
     positions = simulated(start, h * old.substeps, done.wind, boundary, old.substeps)
 
-    information = [dense(one) for one in old.tracked.information]
-    mean = np.asarray(sum(information) / len(information), np.float32)
-    tracked = Tracked(positions, [mean] * n_frames, np.zeros_like(positions), positions)
+    information = [old.tracked.mean_information] * n_frames
+    tracked = Tracked(positions, information, np.zeros_like(positions), positions)
     simulator = ImplicitSimulator(cloth, h, BDF2(), newton, old.simulator.terms)
     shooting = Shooting(
         simulator,

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
-from toile.diagnosis.image_information import SoftenedInformation, dense
+from toile.diagnosis.image_information import SoftenedInformation, as_array
 from toile.diagnosis.tracked import Tracked
 from toile.limits import Count, Positive, Unit
 
@@ -60,7 +60,7 @@ def softened(
     # Memory that is used again: to ask for as much anew in every frame takes longer than what is done in it.
     scaled = np.empty((3 * n, 3 * n))
     for frame, matrix in enumerate(tracked.information):
-        np.multiply(dense(matrix), variance * likelihood_weight, out=scaled, dtype=np.float64)
+        np.multiply(as_array(matrix), variance * likelihood_weight, out=scaled, dtype=np.float64)
         scaled[np.diag_indices(3 * n)] += 1.0
         # In Fortran's order it is the same matrix.
         factor, wrong = lapack.dpotrf(scaled.T, lower=1, clean=0, overwrite_a=1)

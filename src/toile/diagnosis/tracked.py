@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Annotated
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy import sparse
 
-from toile.diagnosis.image_information import Information
+from toile.diagnosis.image_information import Information, as_array
 from toile.diagnosis.model_grid import ModelGrid
 from toile.limits import Count, NonNegative, Positive, Unit
 from toile.reconstruction.gauss_newton.recipe import (
@@ -54,6 +55,11 @@ class Tracked:
         """Gradient (3N,) of it."""
         away = (x - self.positions[frame]).reshape(-1)
         return np.asarray(self.information[frame] @ away + self.gradient[frame].reshape(-1))
+
+    @cached_property
+    def mean_information(self) -> Single:
+        """Of all frames (3N, 3N) [1/m²]; softened ones have to be inverted for it, so it is kept."""
+        return np.asarray(sum(as_array(one) for one in self.information) / len(self.information), np.float32)
 
     def distances(self, frames: slice, x: Array) -> Array:
         """Root mean square distance (n,) [m] of positions (n, N, 3) to the tracked ones."""

@@ -14,7 +14,7 @@ import torch
 from toile.diagnosis.base_fit import base_of, base_sensitivities, local_scales, nothing_seen
 from toile.diagnosis.effect_size import displacement
 from toile.diagnosis.hem import Hem
-from toile.diagnosis.image_information import dense
+from toile.diagnosis.image_information import as_array
 from toile.diagnosis.joint_fit import (
     JointClip,
     JointFit,
@@ -791,7 +791,9 @@ class TestSoftened:
         seen = 0.5 * image[10:, 10:].astype(np.float64)
         expected = np.linalg.inv(np.linalg.inv(seen) + variance * np.eye(n - 10))
         information = soft.information[2]
-        found = dense(information)
+        found = as_array(information)
+        np.testing.assert_allclose(soft.mean_information, found, atol=1e-6 * expected.max())
+        assert soft.mean_information is soft.mean_information
         np.testing.assert_allclose(found[10:, 10:], expected, atol=1e-5 * expected.max())
         assert np.abs(found[:10]).max() <= 1e-8 * expected.max()
         right = rng.standard_normal((n, 5))
