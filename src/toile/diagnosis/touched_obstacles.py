@@ -1,11 +1,12 @@
 """Where a cloth may touch something that nobody knows of: planes and balls that it comes up to.
 
 Whatever stands in a cloth's way lies beyond all that the cloth reaches, so no vertex is inside it, in no
-frame, and many are close to it, though none in frame 0. A cloth that swings back comes up to planes, too,
-where it turns, and every fold has its ball. What tells them apart is whether a push along the normal, where
-the cloth is close, lowers the misfit of the base model, all else being refitted to first order: of many
-planes and balls around the motion the one is taken that lowers it most, and then the best of those that lie
-a little beside it.
+frame, and many are close to it, though none in frame 0. The refined motion, though, errs by a few percent of
+the width along the line of sight, and its outermost vertices are inside. A cloth that swings back comes up to
+planes, too, where it turns, and every fold has its ball. What tells them apart is whether a push along the
+normal, where the cloth is close, lowers the misfit of the base model, all else being refitted to first order:
+of many planes and balls around the refined motion, as large as that lets them be and larger, the one is taken
+that lowers it most, and then, as long as that gains, the best of those that lie a little beside it.
 """
 
 from __future__ import annotations
@@ -21,11 +22,11 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from toile.diagnosis.joint_fit import JointFit, JointFitting, frame_positions
+from toile.diagnosis.joint_fit import JointFit, JointFitting
 from toile.effects.base import Effect, Parameter, VertexEffect
 from toile.effects.contact import Contact
 from toile.effects.obstacles import Obstacle, Plane, Sphere
-from toile.limits import Count, Fraction, Positive, Unit
+from toile.limits import Count, Fraction, NonNegative, Positive, Unit
 from toile.physics.step_terms import StepContext
 from toile.workers import ALONE, Workers
 
@@ -38,24 +39,32 @@ class TouchedSettings:
 
     Attributes:
         margin: distance from which on an obstacle pushes.
+        near: distances within which vertices count as close, one after the other.
+        inside: by how much an obstacle may be larger than the refined motion lets it be.
         directions: of planes' normals, evenly over the sphere.
         spacing: of the balls' centres, which are tried on a grid around the motion.
         smallest: radius of a ball.
         largest: radius of a ball; what is flatter is a plane.
         each: planes, and balls, that are compared: those that most vertices come close to.
         apart: angle between the normals of two planes at least [°].
+        worth: evidence of the best of them below which none is moved [nats].
         asides: by how much the best one is moved, one after the other: a plane's normal by that angle [rad],
-            a ball's centre by that share of the width.
+            a ball's centre by that share of the width, the surface of both by a quarter of that share.
+        moves: by each of them at most.
     """
 
     margin: Annotated[Positive, Unit("widths")] = 0.02
+    near: tuple[Fraction, ...] = (0.02, 0.04, 0.06)
+    inside: tuple[Annotated[NonNegative, Unit("widths")], ...] = (0.0, 0.03)
     directions: Count = 1500
     spacing: Annotated[Positive, Unit("widths")] = 0.07
     smallest: Annotated[Positive, Unit("widths")] = 0.08
     largest: Annotated[Positive, Unit("widths")] = 0.8
     each: Count = 40
     apart: Annotated[Positive, Unit("°")] = 16.0
-    asides: tuple[Fraction, ...] = (0.08, 0.03)
+    worth: Annotated[NonNegative, Unit("nats")] = 5.0
+    asides: tuple[Fraction, ...] = (0.08, 0.04, 0.02, 0.01)
+    moves: Count = 2
 
 
 DEFAULT = TouchedSettings()
@@ -68,6 +77,29 @@ def sphere(n: int) -> Array:
     angle = np.pi * (1 + 5**0.5) * k
     around = np.sqrt(1 - height**2)
     return np.stack((around * np.cos(angle), around * np.sin(angle), height), -1)
+
+
+@dataclass(frozen=True)
+class Met:
+    """Something that a motion may have met.
+
+    Attributes:
+        touched: as large as the motion lets it be: no vertex is inside.
+        inside: by how much it is larger [m].
+    """
+
+    touched: Obstacle
+    inside: float = 0.0
+
+    @property
+    def obstacle(self) -> Obstacle:
+        """As large as it is."""
+        match self.touched:
+            case Plane(point=point, normal=normal):
+                return Plane((point + self.inside * normal).tolist(), normal.tolist())
+            case Sphere(centre=centre, radius=radius):
+                return Sphere(centre.tolist(), radius + self.inside)
+        return self.touched
 
 
 @dataclass(frozen=True)
@@ -99,18 +131,28 @@ class Swept:
         nearest = float(np.linalg.norm(self.positions - centre, axis=-1).min())
         return Sphere(centre.tolist(), max(nearest, 1e-3 * self.width))
 
-    def planes(self) -> list[Plane]:
-        """Planes that many vertices come close to, but none in frame 0, those with most first."""
+    def planes(self, within: float | None = None) -> list[Plane]:
+        """Planes that many vertices come close to, but none in frame 0, those with most first.
+
+        Args:
+            within: distance [m] that counts as close; None for ``margin``.
+        """
+        within = self.margin if within is None else within
         directions = sphere(self.settings.directions)
         along = np.einsum("fnd,kd->kfn", self.positions, directions)
-        near = along > (along.max((1, 2)) - self.margin)[:, None, None]
+        near = along > (along.max((1, 2)) - within)[:, None, None]
         counts = np.where(near[:, 0].any(-1), 0, near.sum((1, 2)))
         cosine = np.cos(np.radians(self.settings.apart))
         kept = _highest(counts, self.settings.each, lambda k: directions @ directions[k] > cosine)
         return [self.plane(directions[k]) for k in kept]
 
-    def balls(self) -> list[Sphere]:
-        """Balls that many vertices come close to, but none in frame 0, those with most first."""
+    def balls(self, within: float | None = None) -> list[Sphere]:
+        """Balls that many vertices come close to, but none in frame 0, those with most first.
+
+        Args:
+            within: see ``planes``.
+        """
+        within = self.margin if within is None else within
         s, width = self.settings, self.width
         flat = self.positions.reshape(-1, 3)
         lowest, highest = flat.min(0) - 0.5 * width, flat.max(0) + 0.5 * width
@@ -119,26 +161,42 @@ class Swept:
         swept, first = cKDTree(flat), cKDTree(self.positions[0])
         radius = np.asarray(swept.query(centres)[0])
         fits = (radius >= s.smallest * width) & (radius <= s.largest * width)
-        fits &= first.query(centres)[0] > radius + self.margin
+        fits &= first.query(centres)[0] > radius + within
         centres, radius = centres[fits], radius[fits]
         if not len(centres):
             return []
-        counts = np.asarray(swept.query_ball_point(centres, radius + self.margin, return_length=True))
+        counts = np.asarray(swept.query_ball_point(centres, radius + within, return_length=True))
         close = 1.5 * s.spacing * width
         kept = _highest(counts, s.each, lambda k: np.linalg.norm(centres - centres[k], axis=-1) < close)
         return [self.ball(centres[k]) for k in kept]
 
-    def beside(self, obstacle: Obstacle, aside: float) -> list[Obstacle]:
+    def met(self) -> list[Met]:
+        """Planes and balls that many vertices come close to, however that is counted, each once."""
+        touched: dict[tuple[float, ...], Obstacle] = {}
+        for within in (share * self.width for share in self.settings.near):
+            for obstacle in (*self.planes(within), *self.balls(within)):
+                place = Contact(obstacle).place()
+                touched.setdefault(tuple(np.concatenate(list(place.values()))), obstacle)
+        insides = [share * self.width for share in self.settings.inside]
+        return [Met(obstacle, inside) for obstacle, inside in product(touched.values(), insides)]
+
+    def beside(self, met: Met, aside: float) -> list[Met]:
         """The obstacle, and others of its kind a little aside, see TouchedSettings.asides."""
+        obstacle = met.touched
+        others: list[Obstacle]
         if isinstance(obstacle, Plane):
             direction = -obstacle.normal.numpy()
             across = np.linalg.svd(direction[None])[2][1:]
             turns = np.pi / 4 * np.arange(8)
             ring = np.stack((np.cos(turns), np.sin(turns)), -1) @ across
-            return [obstacle, *map(self.plane, np.cos(aside) * direction + np.sin(aside) * ring)]
-        assert isinstance(obstacle, Sphere)
-        moves = aside * self.width * np.array(list(product((-1, 0, 1), repeat=3)), np.float64)
-        return [self.ball(obstacle.centre.numpy() + move) for move in moves]
+            others = [obstacle, *map(self.plane, np.cos(aside) * direction + np.sin(aside) * ring)]
+        else:
+            assert isinstance(obstacle, Sphere)
+            moves = aside * self.width * np.array(list(product((-1, 0, 1), repeat=3)), np.float64)
+            others = [self.ball(obstacle.centre.numpy() + move) for move in moves]
+        further = 0.25 * aside * self.width
+        insides = sorted({max(0.0, met.inside + change) for change in (-further, 0.0, further)})
+        return [Met(other, inside) for other, inside in product(others, insides)]
 
 
 def _highest(counts: NDArray[np.int64], most: int, close: Callable[[int], NDArray[np.bool_]]) -> list[int]:
@@ -186,23 +244,29 @@ def _of_clip(
 ) -> Contact | None:
     clip = fitting.clips[c]
     free = clip.shooting.free[:, 0] > 0
-    positions = frame_positions(clip.shooting, base.windows[c])[:, free]
+    # Not as the base model moves: that knows of no obstacle, and its cloth goes through it.
+    positions = clip.shooting.tracked.positions[: base.windows[c][-1].last + 1, free]
     swept = Swept(positions, clip.around.cloth_size[0], settings)
 
-    def best_of(obstacles: Sequence[Obstacle]) -> tuple[float, Obstacle]:
-        drops = _drops(fitting, base, c, _Pushes(obstacles, swept.margin), workers)
+    def best_of(tried: Sequence[Met]) -> tuple[float, Met]:
+        pushes = _Pushes([met.obstacle for met in tried], swept.margin)
+        drops = _drops(fitting, base, c, pushes, workers)
         k = int(np.argmax(drops))
-        return float(drops[k]), obstacles[k]
+        return float(drops[k]), tried[k]
 
-    tried: list[Obstacle] = [*swept.planes(), *swept.balls()]
+    tried = swept.met()
     if not tried:
         return None
-    drop, obstacle = best_of(tried)
-    for aside in settings.asides:
-        if drop <= 0:
-            return None
-        drop, obstacle = best_of(swept.beside(obstacle, aside))
-    return Contact(obstacle, thickness=swept.margin)
+    drop, best = best_of(tried)
+    if drop <= 0:
+        return None
+    for aside in settings.asides if drop >= settings.worth else ():
+        for _ in range(settings.moves):
+            before = drop
+            drop, best = best_of(swept.beside(best, aside))
+            if drop - before < fitting.settings.nothing:
+                break
+    return Contact(best.obstacle, thickness=swept.margin)
 
 
 class _Pushes(VertexEffect):

@@ -33,7 +33,7 @@ from toile.diagnosis.session_settings import SessionSettings
 from toile.diagnosis.shooting import Shooting, ShootingSettings, WindowMotion, cosine_modes
 from toile.diagnosis.softened import ModelError, softened
 from toile.diagnosis.stored_values import ValueStore
-from toile.diagnosis.touched_obstacles import Swept, _Pushes, touching
+from toile.diagnosis.touched_obstacles import Met, Swept, _Pushes, touching
 from toile.diagnosis.tracked import Tracked
 from toile.effects.base import Effect, Scope, Surroundings
 from toile.effects.catalogue import CATALOGUE, OUTSIDE
@@ -882,7 +882,7 @@ class TestUnknownObstacles:
         met = met[self.obstacle()._obstacle.distance(met, met) < 0.003]
         facing = own[0]["contact"]._obstacle.normals(met).numpy() @ self.NORMAL
         assert len(facing) > 2
-        assert facing.min() > np.cos(np.radians(20))
+        assert facing.min() > np.cos(np.radians(30))
         fit = self.gain(fitting, base, own)
         gained = base.misfit - fit.misfit
         gusts = base.misfit - fitting.fitted((CATALOGUE["gusts"](),), base).misfit
@@ -933,10 +933,11 @@ class TestSwept:
         np.testing.assert_allclose(plane.normal, [-1.0, 0.0, 0.0], atol=0.1)
         flat = torch.from_numpy(frames.reshape(-1, 3))
         assert float(plane.distance(flat, flat).min()) > -1e-12
-        beside = Swept(frames, 0.3).beside(plane, 0.1)
-        assert len(beside) == 9
-        turned = [float(one.normal @ plane.normal) for one in beside if isinstance(one, Plane)]
+        beside = Swept(frames, 0.3).beside(Met(plane), 0.1)
+        assert len(beside) == 2 * 9
+        turned = [float(one.touched.normal @ plane.normal) for one in beside if not one.inside]
         np.testing.assert_allclose(turned, [1.0, *[np.cos(0.1)] * 8])
+        assert {one.inside for one in beside} == {0.0, pytest.approx(0.25 * 0.1 * 0.3)}
         # What lies against something from the first frame on has been there before.
         frames[:, :25] = frames[5, :25]
         assert all(float(one.normal[0]) > -0.9 for one in Swept(frames, 0.3).planes()[:3])
@@ -957,9 +958,28 @@ class TestSwept:
         assert nearest.radius == pytest.approx(radius, abs=0.04)
         flat = torch.from_numpy(np.array(frames).reshape(-1, 3))
         assert all(float(ball.distance(flat, flat).min()) > -1e-12 for ball in balls)
-        beside = swept.beside(nearest, 0.03)
-        assert len(beside) == 27
-        assert all(isinstance(one, Sphere) for one in beside)
+        beside = swept.beside(Met(nearest, 0.01), 0.03)
+        assert len(beside) == 3 * 27
+        assert all(isinstance(one.touched, Sphere) for one in beside)
+
+    def test_an_obstacle_may_be_larger_than_the_motion_lets_it_be(self) -> None:
+        at = torch.tensor([[0.0, 0.0, 1.0]], dtype=torch.float64)
+        for touched in (Sphere([0.0, 0.0, 0.5], 0.5), Plane([3.0, 1.0, 1.0], [0.0, 0.0, 2.0])):
+            assert float(Met(touched).obstacle.distance(at, at)) == pytest.approx(0.0, abs=1e-12)
+            assert float(Met(touched, 0.02).obstacle.distance(at, at)) == pytest.approx(-0.02)
+            assert torch.equal(Met(touched, 0.02).obstacle.normals(at), touched.normals(at))
+
+    def test_obstacles_are_met_however_closeness_is_counted_and_each_once(self) -> None:
+        x = clip(WINDS[0], ())[0].tracked.positions
+        swept = Swept(x, 0.3)
+        met = swept.met()
+        places = [tuple(np.concatenate([*Contact(one.obstacle).place().values()])) for one in met]
+        assert len(set(places)) == len(places)
+        touched = {repr(Contact(one.touched).place()) for one in met}
+        for within in (0.02, 0.04, 0.06):
+            near = [*swept.planes(within * 0.3), *swept.balls(within * 0.3)]
+            assert touched.issuperset(repr(Contact(one).place()) for one in near)
+        assert {one.inside for one in met} == {0.0, pytest.approx(0.03 * 0.3)}
 
     def test_pushes_are_what_differentiation_says(self) -> None:
         shooting, around = clip(WINDS[0], ())
