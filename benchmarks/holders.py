@@ -21,29 +21,21 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from hydra import compose, initialize_config_dir
 from numpy.typing import NDArray
+from opened_session import opened
 from scipy.optimize import minimize
 from scipy.special import expit
-from session_ladder import BLENDER, cause_of, made, refined
+from session_ladder import BLENDER, cause_of, made
 from session_weights import NEVER_LEARNT_FROM
 
 from toile.atomic_file import write_text
-from toile.cli.configuration import CONF, register_resolvers
-from toile.cli.diagnose import session_problem
+from toile.cli.configuration import register_resolvers
 from toile.denormals import denormals_flushed
 from toile.diagnosis.apparent_size import change_in
 from toile.diagnosis.holder_slips import slip_of
-from toile.diagnosis.pipeline import Pipeline
 from toile.diagnosis.planned_clip import HELD_STILL
-from toile.diagnosis.problem import DiagnosisProblem
-from toile.diagnosis.results import KINDS
 from toile.diagnosis.session_settings import SessionSettings
-from toile.diagnosis.session_stages import RefinedMotion, seen_clips
 from toile.diagnosis.session_weights import SHIPPED, SessionWeights, lapsed_loss
-from toile.diagnosis.stage_store import StageStore
-from toile.diagnosis.stage_times import StageTimes
-from toile.diagnosis.stored_values import ValueStore
 from toile.effects.anchor_slip import AnchorSlip
 from toile.generation.clip_plan import DEFAULT_CLIPS
 from toile.scenes.native import load_native
@@ -87,17 +79,11 @@ def seen_in(scene: Scene, positions: Array) -> Seen:
 @denormals_flushed()
 def measured(folder: Path, out: Path) -> Seen:
     """From the first clip of a session, tracked and refined if it is not."""
-    with initialize_config_dir(str(CONF), version_base=None):
-        cfg = compose("diagnose", [f"session='{folder.resolve()}'", "diagnosis=quick"])
-    asked = session_problem(cfg)
-    first = asked.clips[0]
-    _check(asked.session.clips[0].motion, folder)
-    problem = DiagnosisProblem(first.reconstruction, first.recipe, first.effects, first.settings)
-    values = ValueStore((*KINDS, RefinedMotion), first.effects)
-    pipeline = Pipeline(StageStore(out, values, StageTimes.going_on(out / "times.json")), _quietly)
-    clips = seen_clips([problem], [0], pipeline, _quietly, [asked.session.clips[0].motion])
-    motion = refined(clips, asked.together, first.settings.stiffness, pipeline)
-    return seen_in(problem.scene, motion.positions[0])
+    _check(load_session(folder).clips[0].motion, folder)
+    session = opened(folder, out, first=True)
+    (clip,) = session.clips
+    motion = session.refined()
+    return seen_in(clip.problem.scene, motion.positions[0])
 
 
 def kept(folder: Path, out: Path) -> Seen:

@@ -17,21 +17,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import torch
-from hydra import compose, initialize_config_dir
+from opened_session import opened
 from session_ladder import FOLDER, folder_of, made
 
 from toile.atomic_file import write_text
-from toile.cli.configuration import CONF, register_resolvers
-from toile.cli.diagnose import session_problem
+from toile.cli.configuration import register_resolvers
 from toile.denormals import denormals_flushed
 from toile.diagnosis.effect_sensitivities import FORCES
-from toile.diagnosis.pipeline import Pipeline
-from toile.diagnosis.problem import DiagnosisProblem
-from toile.diagnosis.results import KINDS
-from toile.diagnosis.session_stages import RefinedMotion, SessionModel, seen_clips, with_error_found
-from toile.diagnosis.stage_store import StageStore
-from toile.diagnosis.stage_times import StageTimes
-from toile.diagnosis.stored_values import ValueStore
+from toile.diagnosis.session_stages import RefinedMotion, SessionModel, with_error_found
 from toile.effects.catalogue import STAND_INS
 from toile.generation.clip_plan import DEFAULT_CLIPS
 from toile.reports.run_folder import current_git_revision
@@ -55,28 +48,20 @@ DIGITS = {
 @denormals_flushed()
 def left(folder: Path, side: int, crowding: float) -> dict[str, object]:
     """What the base model leaves on true positions of the first clip, and what effects would take of it."""
-    with initialize_config_dir(str(CONF), version_base=None):
-        cfg = compose("diagnose", [f"session='{folder.resolve()}'", "diagnosis=quick"])
-    asked = session_problem(cfg)
-    p = asked.clips[0]
-    problem = DiagnosisProblem(p.reconstruction, p.recipe, p.effects, p.settings)
-    out = FOLDER / f"{folder.name}_run"
-    store = StageStore(out, ValueStore(KINDS, p.effects), StageTimes.going_on(out / "times.json"))
-    nothing = lambda what, share: None  # noqa: E731
-    clips = seen_clips([problem], [0], Pipeline(store, nothing), nothing, [DEFAULT_CLIPS[0].motion])
+    session = opened(folder, FOLDER / f"{folder.name}_run", first=True)
+    clips, stiffness = session.clips, session.stiffness
     truth = np.load(folder / "truth_0.npy").astype(np.float64)
     positions = truth.reshape(len(truth), -1, 3)[: clips[0].n_frames]
-    settings = replace(asked.together, side=side, crowding=crowding)
-    stiffness, began = p.settings.stiffness, time.process_time()
+    settings = replace(session.together, side=side, crowding=crowding)
+    began = time.process_time()
     motion = with_error_found(clips, RefinedMotion([positions], None), settings, stiffness)
     model = SessionModel(clips, motion, settings, stiffness)
     fitting = model.fitting
     plain = fitting.fitted((), fitting.start_fit())
     base = fitting.fitted(fitting.usual, plain)
     seconds = time.process_time() - began
-    duration = (problem.scene.n_frames - 1) / problem.scene.fps
-    effects = [e for e in p.effects if isinstance(e, FORCES)]
-    effects += [STAND_INS[name]().for_clip(duration) for name in settings.stand_ins]
+    effects = [e for e in session.effects if isinstance(e, FORCES)]
+    effects += [STAND_INS[name]().for_clip(session.longest) for name in settings.stand_ins]
     systems = fitting.systems(effects, base)
     fits = fitting.linearised(effects, base, fitting.quadratic(effects, base, systems))
     nats = {name: fit.evidence(base).nats() for name, fit in fits.items() if name not in base.names}

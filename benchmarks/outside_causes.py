@@ -25,23 +25,18 @@ import numpy as np
 import pandas as pd
 import session_ladder as ladder
 import torch
-from hydra import compose, initialize_config_dir
+from opened_session import opened
 
 from toile.atomic_file import write_text
-from toile.cli.configuration import CONF, register_resolvers
-from toile.cli.diagnose import session_problem
+from toile.cli.configuration import register_resolvers
 from toile.diagnosis.decision import NONE
 from toile.diagnosis.effect_evidence import EffectEvidence
 from toile.diagnosis.effect_sensitivities import FORCES
 from toile.diagnosis.findings import WIDENED
-from toile.diagnosis.fingerprint import fingerprint
 from toile.diagnosis.model_errors import ModelErrors
 from toile.diagnosis.outside_causes import freed_fit, outside_causes
-from toile.diagnosis.pipeline import Pipeline
-from toile.diagnosis.problem import DiagnosisProblem
-from toile.diagnosis.results import KINDS
 from toile.diagnosis.session_settings import FreedSettings, SessionSettings
-from toile.diagnosis.session_stages import RefinedMotion, SeenClip, refining_stage, seen_clips
+from toile.diagnosis.session_stages import RefinedMotion, SeenClip
 from toile.diagnosis.session_weights import (
     SHIPPED,
     MotionEvidence,
@@ -50,13 +45,9 @@ from toile.diagnosis.session_weights import (
     learnt_weights,
     left_out_chances,
 )
-from toile.diagnosis.stage_store import StageStore
-from toile.diagnosis.stage_times import StageTimes
-from toile.diagnosis.stored_values import ValueStore
 from toile.effects.base import Effect
 from toile.effects.catalogue import OUTSIDE, PUSHING
 from toile.generation.clip_plan import DEFAULT_CLIPS
-from toile.workers import ALONE
 
 FOLDER = Path("outputs") / "outside_causes"
 RESULTS = Path("docs") / "results" / "outside_causes.md"
@@ -90,20 +81,9 @@ class Refined(NamedTuple):
 
 def refined(folder: Path, out: Path) -> tuple[Refined, Sequence[Effect]]:
     """The first clip of a session, tracked and refined, and the candidates."""
-    with initialize_config_dir(str(CONF), version_base=None):
-        cfg = compose("diagnose", [f"session='{folder.resolve()}'", "diagnosis=quick"])
-    asked = session_problem(cfg)
-    problems = [DiagnosisProblem(p.reconstruction, p.recipe, p.effects, p.settings) for p in asked.clips[:1]]
-    effects = asked.clips[0].effects
-    times = StageTimes.going_on(out / "times.json")
-    store = StageStore(out, ValueStore((*KINDS, RefinedMotion), effects), times)
-    nothing = lambda what, share: None  # noqa: E731
-    pipeline = Pipeline(store, nothing)
-    clips = seen_clips(problems, [0], pipeline, nothing, [plan.motion for plan in PLANS])
-    settings, stiffness = asked.together, asked.clips[0].settings.stiffness
-    stage = refining_stage(clips, settings, stiffness, {"together": fingerprint(settings)}, ALONE)
-    motion = pipeline.run(stage, *(clip.tracked for clip in clips))
-    return Refined(clips, motion, settings, stiffness), effects
+    session = opened(folder, out, first=True)
+    motion = session.refined()
+    return Refined(session.clips, motion, session.together, session.stiffness), session.effects
 
 
 def measured(folder: Path, out: Path, freed: FreedSettings) -> dict[str, object]:
@@ -286,13 +266,13 @@ def _kept(session: str, settings: str = AS_IT_IS, *, known: bool) -> dict[str, o
 
 
 def main() -> None:
-    """Write docs/results/outside_causes.md and .csv, and with --ship the two weights."""
+    """Write docs/results/outside_causes.md and .csv, and with --ship the spread of sizes."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--sessions", nargs="+", default=SESSIONS)
     parser.add_argument("--known", action="store_true", help="compute nothing: the tables of what is kept")
     parser.add_argument("--ablations", action="store_true", help="write outside_causes_ablations.md only")
     parser.add_argument("--forces", action="store_true", help="write outside_causes_forces.md only")
-    parser.add_argument("--ship", action="store_true", help="put the weights into the package")
+    parser.add_argument("--ship", action="store_true", help="put the spread of sizes into the package")
     given = parser.parse_args()
     torch.set_num_threads(1)
     register_resolvers()
@@ -310,14 +290,11 @@ def main() -> None:
     table.to_csv(RESULTS.with_suffix(".csv"), index=False, float_format="%.4g")
     write_text(RESULTS, page(table, cases, learnt))
     if given.ship:
-        source = json.loads(SHIPPED.read_text())["source"].split("; causes from outside")[0]
-        shipped = replace(
-            SessionWeights.load(),
-            outside_threshold=learnt.outside_threshold,
-            outside_temperature=learnt.outside_temperature,
-            outside_spread=learnt.outside_spread,
-        )
-        shipped.write(SHIPPED, f"{source}; causes from outside: {len(cases)} sessions of {RESULTS}")
+        before = json.loads(SHIPPED.read_text())["source"].split("; ")
+        source = "; ".join(part for part in before if not part.startswith("sizes from outside"))
+        # The threshold and its temperature are learnt beside all others, by session_weights.py.
+        shipped = replace(SessionWeights.load(), outside_spread=learnt.outside_spread)
+        shipped.write(SHIPPED, f"{source}; sizes from outside: {len(cases)} sessions of {RESULTS}")
     print(RESULTS.read_text())
 
 

@@ -12,56 +12,34 @@ from __future__ import annotations
 
 import argparse
 import json
-import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import torch
-from hydra import compose, initialize_config_dir
+from opened_session import OpenedSession, opened
+from session_hypotheses import Hypotheses, hypotheses
 
 from toile.atomic_file import write_text
-from toile.cli.configuration import CONF, register_resolvers
-from toile.cli.diagnose import session_problem
+from toile.cli.configuration import register_resolvers
 from toile.denormals import denormals_flushed
 from toile.diagnosis.decision import NONE, UNKNOWN
 from toile.diagnosis.effect_evidence import EffectEvidence
-from toile.diagnosis.effect_sensitivities import FORCES
-from toile.diagnosis.effect_size import displacement
-from toile.diagnosis.fingerprint import fingerprint
-from toile.diagnosis.joint_fit import JointFit
 from toile.diagnosis.left_out import left_out_shrinks
-from toile.diagnosis.outside_causes import OutsideCauses, outside_causes
-from toile.diagnosis.pipeline import Pipeline
-from toile.diagnosis.problem import DiagnosisProblem
-from toile.diagnosis.results import KINDS
-from toile.diagnosis.session_diagnosis import learned_chances, stand_in_sizes
-from toile.diagnosis.session_evidence import promising
 from toile.diagnosis.session_settings import SessionSettings
 from toile.diagnosis.session_stages import (
     RefinedMotion,
-    SeenClip,
-    SessionModel,
-    refining_stage,
-    seen_clips,
-    with_error_found,
 )
-from toile.diagnosis.session_weights import MotionEvidence, SessionWeights, chances
-from toile.diagnosis.stage_store import StageStore
-from toile.diagnosis.stage_times import StageTimes
-from toile.diagnosis.stored_values import ValueStore
 from toile.effects.base import Effect
-from toile.effects.catalogue import CATALOGUE, PUSHING, STAND_INS
-from toile.effects.contact import Contact
+from toile.effects.catalogue import CATALOGUE, STAND_INS
 from toile.generation.clip_plan import DEFAULT_CLIPS, ClipPlan
 from toile.generation.out_of_family.base_scene import OutOfFamilySettings
 from toile.generation.out_of_family.from_blender import make_clips_with_blender
 from toile.generation.out_of_family.session_set import write_opaque_session
 from toile.generation.out_of_family.sessions import SessionRequest, make_session
 from toile.reports.run_folder import current_git_revision
-from toile.workers import ALONE
 
 FOLDER = Path("outputs") / "session_ladder"
 BLENDER = "blender-"
@@ -158,113 +136,63 @@ def made(session: str, within: Path = FOLDER, plans: tuple[ClipPlan, ...] = DEFA
 @denormals_flushed()
 def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
     """Every hypothesis on one rung."""
-    with initialize_config_dir(str(CONF), version_base=None):
-        cfg = compose("diagnose", [f"session='{folder.resolve()}'", "diagnosis=quick"])
-    asked = session_problem(cfg)
-    problems = [DiagnosisProblem(p.reconstruction, p.recipe, p.effects, p.settings) for p in asked.clips]
-    problems = problems[:1] if "one clip" in rung else problems
-    effects = asked.clips[0].effects
-    kinds = ValueStore((*KINDS, RefinedMotion), effects)
-    store = StageStore(out, kinds, StageTimes.going_on(out / "times.json"))
-    nothing = lambda what, share: None  # noqa: E731
-    pipeline = Pipeline(store, nothing)
-    motions = [plan.motion for plan in DEFAULT_CLIPS]
-    clips = seen_clips(problems, [0] * len(problems), pipeline, nothing, motions)
+    session = opened(folder, out, first="one clip" in rung)
+    clips, settings = session.clips, session.together
     truth = [
         np.load(folder / f"truth_{k}.npy").astype(np.float64).reshape(c.n_frames, -1, 3)
         for k, c in enumerate(clips)
     ]
-    settings, stiffness = asked.together, asked.clips[0].settings.stiffness
-    motion = _motion(clips, truth, rung, settings, stiffness, pipeline)
+    motion = _motion(session, truth, rung)
     if "force" in rung:
         settings = replace(settings, fit=replace(settings.fit, force=_FORCE, outside=_FORCE))
     width = clips[0].problem.scene.cloth_size[0]
     error = 100 * np.mean(
         [np.linalg.norm(x - t, axis=-1).mean() for x, t in zip(motion.positions, truth, strict=True)]
     )
-    if motion.error is None:
-        motion = with_error_found(clips, motion, settings, stiffness)
-    model = SessionModel(clips, motion, settings, stiffness)
-    fitting = model.fitting
-    plain = fitting.fitted((), fitting.start_fit())
-    base = fitting.fitted(fitting.usual, plain)
-    errors = model.errors(base)
-    learned = learned_chances(clips, motion) or {}
-    revision = current_git_revision()
-    seconds = sum((clip.n_frames - 1) / clip.problem.scene.fps for clip in clips)
-    moving = [effect for effect in effects if isinstance(effect, FORCES)]
-    model = model.with_obstacles(effects, base)
-    if any(model.own):
-        fitting, moving = model.fitting, [*moving, Contact()]
     truth_is = cause_of(folder.name)
-    longest = (clips[0].problem.scene.n_frames - 1) / clips[0].problem.scene.fps
-    moving += [STAND_INS[name]().for_clip(longest) for name in settings.stand_ins]
-    fits = fitting.linearised(moving, base, fitting.quadratic(moving, base, fitting.systems(moving, base)))
-    fits |= {effect.NAME: base for effect in moving if effect.NAME in base.names}
-    chosen = promising(base, fits, moving, errors, settings.fitted, plain, base.names)
-    chosen += [e for e in moving if fitting.has_lost_its_stiffness(e, base) and e not in chosen]
     # The cause is fitted whatever it promises, so that what it predicts is known.
-    chosen += [e for e in moving if truth_is == e.NAME and e not in chosen and e.NAME not in base.names]
-    outside = OutsideCauses({})
-    if "force" not in rung:
-        outside = outside_causes(clips, motion, settings, stiffness, moving, own=model.own)
-    causes = outside.causes
-    evidence: dict[str, EffectEvidence] = {}
-    sizes: dict[str, float] = {}
+    found = hypotheses(session, motion, settings, (truth_is,), free="force" not in rung)
+    errors, base = found.evidence.base, found.base
+    learned = found.evidence.learned or {}
+    common = {
+        "session": folder.name,
+        "rung": rung,
+        "revision": current_git_revision(),
+        "position error [% of the width]": error / width,
+        "seconds": sum((clip.n_frames - 1) / clip.problem.scene.fps for clip in clips),
+        "plain misfit": found.plain.misfit,
+        "base misfit": base.misfit,
+        "usual": " ".join(base.names),
+        "cost of errors": errors.cost,
+        "expected cost": errors.expected,
+        "share": errors.share,
+    }
     rows: list[dict[str, object]] = []
-    for effect in moving:
-        began = time.process_time()
-        fit = fits[effect.NAME]
-        against = plain if effect.NAME in base.names else base
-        before = _evidence(against, fit)
-        if effect in chosen:
-            fit = fitting.fitted_hypothesis(effect, base)
-        fits[effect.NAME] = fit
-        far = displacement(fitting.clips, fitting.start, fit, model.width).last
-        found = _evidence(against, fit)
-        evidence[effect.NAME], sizes[effect.NAME] = found, far
-        freed = causes.get(effect.NAME)
+    for name, one in found.evidence.effects.items():
+        freed = found.outside.causes.get(name)
         rows.append(
             {
-                "session": folder.name,
-                "rung": rung,
-                "revision": revision,
-                "position error [% of the width]": error / width,
-                "seconds": seconds,
-                "plain misfit": plain.misfit,
-                "base misfit": base.misfit,
-                "usual": " ".join(base.names),
-                "cost of errors": errors.cost,
-                "expected cost": errors.expected,
-                "share": errors.share,
-                "effect": effect.NAME,
-                **evidence_columns(found),
-                "occam": found.occam,
-                "nats": found.nats(),
-                "nats before it is fitted": before.nats(),
-                "moves the cloth by [% of the width]": 100 * far,
-                "learned": learned.get(effect.NAME, float("nan")),
+                **common,
+                "effect": name,
+                **evidence_columns(one),
+                "occam": one.occam,
+                "nats": one.nats(),
+                "nats before it is fitted": found.linear[name].nats(),
+                "moves the cloth by [% of the width]": 100 * found.sizes[name],
+                "learned": learned.get(name, float("nan")),
                 "nats from outside": None if freed is None else freed.evidence.nats(),
                 "moves the cloth from outside by [% of the width]": None
                 if freed is None
                 else 100 * freed.displacement.last,
                 **({} if freed is None else evidence_columns(freed.evidence, "outside ")),
-                "passes": len(fit.history) - len(base.history),
-                "CPU [s]": time.process_time() - began,
+                "passes": len(found.fits[name].history) - len(base.history),
+                "CPU [s]": found.seconds[name],
             }
         )
-    every = {name: sizes.pop(name) for name in base.names if name in sizes}
-    under_law = (*PUSHING, *STAND_INS)
-    sizes |= {name: cause.displacement.last for name, cause in causes.items() if name not in under_law}
-    sizes |= stand_in_sizes(sizes, outside)
-    from_outside = {name: cause.evidence for name, cause in causes.items()}
-    said = chances(
-        MotionEvidence(errors, evidence, learned or None, every, sizes, from_outside),
-        SessionWeights.load().of_clips(len(clips)),
-    )
+    said = found.chances()
     fps, exact = clips[-1].problem.scene.fps, rung.startswith("true")
-    asked_for = [effect for effect in chosen if truth_is == effect.NAME]
-    predicted = _predicted(model, base, fits, asked_for, settings, fps, exact=exact) if asked_for else {}
+    asked_for = [effect for effect in found.chosen if truth_is == effect.NAME]
+    predicted = _predicted(found, asked_for, settings, fps, exact=exact) if asked_for else {}
     for row in rows:
         name = str(row["effect"])
         row |= {"probability": said.get(name, float("nan")), "probability of none": said[NONE]}
@@ -283,29 +211,22 @@ def evidence_columns(one: EffectEvidence, which: str = "") -> dict[str, object]:
 
 
 def _predicted(
-    model: SessionModel,
-    base: JointFit,
-    fits: Mapping[str, JointFit],
-    chosen: Sequence[Effect],
-    settings: SessionSettings,
-    fps: float,
-    *,
-    exact: bool,
+    found: Hypotheses, chosen: Sequence[Effect], settings: SessionSettings, fps: float, *, exact: bool
 ) -> dict[str, dict[str, float | None]]:
     """How far the effects asked for shrink the held-out error; on true positions: the oracle.
 
     The best placebo is the same for all of them.
     """
     shrinks = left_out_shrinks(
-        model.fitting,
-        model.left_out,
-        base,
-        {effect.NAME: fits[effect.NAME] for effect in chosen},
+        found.model.fitting,
+        found.model.left_out,
+        found.base,
+        {effect.NAME: found.fits[effect.NAME] for effect in chosen},
         {effect.NAME: effect for effect in chosen},
         max(2, round(settings.ahead * fps / 25)),
         settings.placebos,
         settings.seed,
-        None if exact else model.last_clip_of,
+        None if exact else found.model.last_clip_of,
     ).shrinks
     return {
         name: {"held-out shrink": one.estimate, "its low": one.low, "best placebo": one.best_placebo}
@@ -313,35 +234,13 @@ def _predicted(
     }
 
 
-def _evidence(against: JointFit, fit: JointFit) -> EffectEvidence:
-    return fit.evidence(against)
-
-
-def _motion(
-    clips: list[SeenClip],
-    truth: list[np.ndarray],
-    rung: str,
-    settings: SessionSettings,
-    stiffness: tuple[float, float, float],
-    pipeline: Pipeline,
-) -> RefinedMotion:
+def _motion(session: OpenedSession, truth: list[np.ndarray], rung: str) -> RefinedMotion:
     if rung.startswith("true"):
         return RefinedMotion(truth, None)
     if rung.startswith("tracked"):
-        return RefinedMotion([clip.tracked.positions[: clip.n_frames] for clip in clips], None)
-    return refined(clips, settings, stiffness, pipeline)
-
-
-def refined(
-    clips: list[SeenClip],
-    settings: SessionSettings,
-    stiffness: tuple[float, float, float],
-    pipeline: Pipeline,
-) -> RefinedMotion:
-    """The refined motion of so many clips of a session, once for all that ask for it."""
-    stage = refining_stage(clips, settings, stiffness, {"together": fingerprint(settings)}, ALONE)
-    stage = replace(stage, file=f"refined_{len(clips)}.npz", name=f"refined motion of {len(clips)} clips")
-    return pipeline.run(stage, *(clip.tracked for clip in clips))
+        tracked = [clip.tracked.positions[: clip.n_frames] for clip in session.clips]
+        return RefinedMotion(tracked, None)
+    return session.refined()
 
 
 def summary(table: pd.DataFrame) -> pd.DataFrame:

@@ -19,25 +19,14 @@ import numpy as np
 import pandas as pd
 import session_ladder as ladder
 import torch
-from hydra import compose, initialize_config_dir
+from opened_session import opened
 
 from toile.atomic_file import write_text
-from toile.cli.configuration import CONF, register_resolvers
-from toile.cli.diagnose import session_problem
-from toile.diagnosis.fingerprint import fingerprint
+from toile.cli.configuration import register_resolvers
 from toile.diagnosis.mechanics import horizontal_axes
-from toile.diagnosis.pipeline import Pipeline
-from toile.diagnosis.problem import DiagnosisProblem
-from toile.diagnosis.results import KINDS
-from toile.diagnosis.session_stages import RefinedMotion, refining_stage, seen_clips
-from toile.diagnosis.stage_store import StageStore
-from toile.diagnosis.stage_times import StageTimes
-from toile.diagnosis.stored_values import ValueStore
 from toile.diagnosis.torque_balance import MovingCloth, torque_evidence
 from toile.effects.base import Surroundings
 from toile.effects.catalogue import OUTSIDE, PUSHING
-from toile.generation.clip_plan import DEFAULT_CLIPS
-from toile.workers import ALONE
 
 RUNGS = ("true, one clip", "true", "refined, one clip", "refined, one clip, corners held")
 HELD = 0.0003
@@ -46,12 +35,8 @@ HELD = 0.0003
 
 def measured(folder: Path, rung: str, out: Path) -> dict[str, object]:
     """Evidence of every cause from outside [nats] of one session, on one rung."""
-    with initialize_config_dir(str(CONF), version_base=None):
-        cfg = compose("diagnose", [f"session='{folder.resolve()}'", "diagnosis=quick"])
-    asked = session_problem(cfg)
-    problems = [DiagnosisProblem(p.reconstruction, p.recipe, p.effects, p.settings) for p in asked.clips]
-    problems = problems[:1] if "one clip" in rung else problems
-    effects = asked.clips[0].effects
+    session = opened(folder, out, first="one clip" in rung)
+    problems, effects = session.problems, session.effects
     scenes = [problem.scene for problem in problems]
     truth = [
         np.load(folder / f"truth_{k}.npy").astype(np.float64).reshape(scene.n_frames, -1, 3)
@@ -59,21 +44,9 @@ def measured(folder: Path, rung: str, out: Path) -> dict[str, object]:
     ]
     motion = truth
     if rung.startswith("refined"):
-        store = StageStore(
-            out, ValueStore((*KINDS, RefinedMotion), effects), StageTimes.going_on(out / "times.json")
-        )
-        nothing = lambda what, share: None  # noqa: E731
-        pipeline = Pipeline(store, nothing)
-        motions = [plan.motion for plan in DEFAULT_CLIPS]
-        clips = seen_clips(problems, [0] * len(problems), pipeline, nothing, motions)
         held = "held" in rung
-        settings = replace(asked.together, held=HELD) if held else asked.together
-        stage = refining_stage(
-            clips, settings, asked.clips[0].settings.stiffness, {"together": fingerprint(settings)}, ALONE
-        )
-        name = f"refined_{len(clips)}{'_held' if held else ''}"
-        stage = replace(stage, file=f"{name}.npz", name=name)
-        motion = pipeline.run(stage, *(clip.tracked for clip in clips)).positions
+        settings = replace(session.together, held=HELD) if held else session.together
+        motion = session.refined(settings, "_held" if held else "").positions
     cloths = []
     for scene, problem, positions in zip(scenes, problems, motion, strict=True):
         gravity = torch.from_numpy(scene.gravity.numpy().astype(np.float64))
