@@ -22,7 +22,15 @@ SCENE = "1, as a scene"
 """How marks call answers of the method of single clips."""
 EARLIER = ("twelve", "eight", "second_twelve", "second_eight", "four")
 """Sets answered before the motion was refined by the model's errors as they are found, oldest first."""
-LATEST = ("outside", "medium", "second_medium", "third_medium", "fourth_medium", "fifth_medium")
+LATEST = (
+    "outside",
+    "medium",
+    "second_medium",
+    "third_medium",
+    "fourth_medium",
+    "fifth_medium",
+    "sixth_medium",
+)
 """Sets answered since what the catalogue lacks has stand-ins, and contact is a candidate."""
 MEASURES = (
     "named rightly, effects of 3 % and more",
