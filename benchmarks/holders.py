@@ -96,10 +96,6 @@ def kept(folder: Path, out: Path) -> Seen:
     return seen_in(load_native(first.folder), positions)
 
 
-def _quietly(what: str, share: float) -> None:
-    """Progress of the stages is not shown."""
-
-
 def _check(motion: str, folder: Path) -> None:
     if motion not in HELD_STILL:
         raise ValueError(f"{folder}: expected a first clip in which nobody moved the holders, got '{motion}'")

@@ -85,7 +85,8 @@ def hypotheses(
     errors = model.errors(base)
     learned = learned_chances(clips, motion)
     moving = [effect for effect in session.effects if isinstance(effect, FORCES)]
-    model = model.with_obstacles(session.effects, base)
+    if model.looks_for_obstacles(session.effects):
+        model = model.with_obstacles(model.obstacles(base))
     if any(model.own):
         fitting, moving = model.fitting, [*moving, Contact()]
     moving += [STAND_INS[name]().for_clip(session.longest) for name in settings.stand_ins]

@@ -405,6 +405,8 @@ def test_clips_of_a_session_have_one_answer(
     # A plumb line was in view.
     assert {effect.name for effect in report.effects} - {"contact"} == {"air_drag", "gusts", "shading"}
     assert ("contact" in report.session.probabilities) == searched
+    # Looking for obstacles takes half a minute a clip: what is found is kept.
+    assert (tmp_path / "fits" / "obstacles.npz").is_file() == searched
     assert len(report.where.frames) == 24
     assert set(report.session.material) >= {"stretching", "shearing", "bending"}
     neither = sum(report.session.probabilities.get(name, 0.0) for name in ("none", "unknown"))

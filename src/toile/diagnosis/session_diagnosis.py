@@ -68,6 +68,7 @@ from toile.diagnosis.settings import DiagnosisSettings
 from toile.diagnosis.stage_store import StageStore
 from toile.diagnosis.stage_times import TIMES_FILE, StageTimes
 from toile.diagnosis.stored_values import ValueStore
+from toile.diagnosis.touched_obstacles import TouchedObstacles
 from toile.diagnosis.verdict import is_clear, of_two, refuted, seen_in_part, verdict_of
 from toile.effects.base import Effect
 from toile.effects.catalogue import CATALOGUE, PUSHING, STAGES, STAND_INS
@@ -156,7 +157,8 @@ def diagnose_session(
     longest = max((p.scene.n_frames - 1) / p.scene.fps for p in problems)
     stand_ins = [STAND_INS[name]().for_clip(longest) for name in together.stand_ins]
     acting = (Contact(), *(CATALOGUE[name]() for name in together.usual), *stand_ins, *effects)
-    kinds = (*KINDS, JointFit, RefinedMotion, OutsideCauses, OutsideCause, EffectEvidence, Displacement)
+    outcomes = (JointFit, RefinedMotion, TouchedObstacles, OutsideCauses, OutsideCause)
+    kinds = (*KINDS, *outcomes, EffectEvidence, Displacement)
     store = StageStore(folder, ValueStore(kinds, acting), times)
     pipeline = Pipeline(store, progress)
     names = list(dict.fromkeys(clip.device for clip in session.clips))
@@ -190,9 +192,8 @@ def diagnose_session(
     if any(effect.NAME == Contact.NAME for effect in effects):
         # It is known what the cloth may touch.
         weights = replace(weights, searched=0.0)
-    if together.touched is not None:
-        progress("what the cloth may touch", 0.54)
-    model = model.with_obstacles(effects, base, workers)
+    if model.looks_for_obstacles(effects):
+        model = model.with_obstacles(pipeline.run(stages.obstacles(0.54), motion, base))
     if any(model.own):
         stages = replace(stages, model=model)
         effects, moving = (*effects, Contact()), [*moving, Contact()]

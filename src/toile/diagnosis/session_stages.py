@@ -31,7 +31,7 @@ from toile.diagnosis.results import Seen, TrackedMotion
 from toile.diagnosis.session_settings import SessionSettings
 from toile.diagnosis.softened import softened
 from toile.diagnosis.stages import DiagnosisStages
-from toile.diagnosis.touched_obstacles import touching
+from toile.diagnosis.touched_obstacles import TouchedObstacles, touching
 from toile.effects.base import Effect
 from toile.effects.catalogue import CATALOGUE
 from toile.effects.contact import Contact
@@ -182,20 +182,28 @@ class SessionModel:
             for clip, windows in zip(self.fitting.clips, fit.windows, strict=True)
         )
 
-    def with_obstacles(
-        self, effects: Sequence[Effect], base: JointFit, workers: Workers = ALONE
-    ) -> SessionModel:
-        """The same with what the cloth may touch in every clip, where that is asked for and is not known.
+    def looks_for_obstacles(self, effects: Sequence[Effect]) -> bool:
+        """Whether it is asked for what the cloth may touch, and nobody knows it.
 
         Args:
             effects: candidates; contact among them comes with its obstacle.
+        """
+        return self.settings.touched is not None and all(e.NAME != Contact.NAME for e in effects)
+
+    def obstacles(self, base: JointFit, workers: Workers = ALONE) -> TouchedObstacles:
+        """What the cloth may touch in every clip.
+
+        Args:
             base: the base model, fitted.
             workers: share the windows of a clip.
         """
-        if self.settings.touched is None or any(effect.NAME == Contact.NAME for effect in effects):
-            return self
+        assert self.settings.touched is not None
+        return touching(self.fitting, base, self.settings.touched, workers)
+
+    def with_obstacles(self, obstacles: TouchedObstacles) -> SessionModel:
+        """The same with what the cloth may touch in every clip."""
         other = copy.copy(self)
-        other.own = touching(self.fitting, base, self.settings.touched, workers)
+        other.own = obstacles.of_clips
         other.fitting = self.fitting.with_own(other.own)
         other.left_out = None if self.left_out is None else self.left_out.with_own(other.own[:-1])
         return other
@@ -484,6 +492,26 @@ class HypothesisStages:
             "fit of usual effects",
             share,
             JointFit,
+            compute,
+            self.made_from,
+        )
+
+    def obstacles(self, share: float) -> PipelineStage[RefinedMotion, JointFit, TouchedObstacles]:
+        """What the cloth may touch in every clip.
+
+        Args:
+            share: of all work that is done when it begins.
+        """
+
+        def compute(motion: RefinedMotion, base: JointFit) -> TouchedObstacles:
+            return self.model.obstacles(base, self.workers)
+
+        return PipelineStage(
+            "what the cloth may touch",
+            "fits/obstacles.npz",
+            "what the cloth may touch",
+            share,
+            TouchedObstacles,
             compute,
             self.made_from,
         )

@@ -88,18 +88,17 @@ class Met:
         inside: by how much it is larger [m].
     """
 
-    touched: Obstacle
+    touched: Plane | Sphere
     inside: float = 0.0
 
     @property
-    def obstacle(self) -> Obstacle:
+    def obstacle(self) -> Plane | Sphere:
         """As large as it is."""
         match self.touched:
             case Plane(point=point, normal=normal):
                 return Plane((point + self.inside * normal).tolist(), normal.tolist())
             case Sphere(centre=centre, radius=radius):
                 return Sphere(centre.tolist(), radius + self.inside)
-        return self.touched
 
 
 @dataclass(frozen=True)
@@ -131,13 +130,12 @@ class Swept:
         nearest = float(np.linalg.norm(self.positions - centre, axis=-1).min())
         return Sphere(centre.tolist(), max(nearest, 1e-3 * self.width))
 
-    def planes(self, within: float | None = None) -> list[Plane]:
+    def planes(self, within: float) -> list[Plane]:
         """Planes that many vertices come close to, but none in frame 0, those with most first.
 
         Args:
-            within: distance [m] that counts as close; None for ``margin``.
+            within: distance that counts as close [m].
         """
-        within = self.margin if within is None else within
         directions = sphere(self.settings.directions)
         along = np.einsum("fnd,kd->kfn", self.positions, directions)
         near = along > (along.max((1, 2)) - within)[:, None, None]
@@ -146,13 +144,12 @@ class Swept:
         kept = _highest(counts, self.settings.each, lambda k: directions @ directions[k] > cosine)
         return [self.plane(directions[k]) for k in kept]
 
-    def balls(self, within: float | None = None) -> list[Sphere]:
+    def balls(self, within: float) -> list[Sphere]:
         """Balls that many vertices come close to, but none in frame 0, those with most first.
 
         Args:
             within: see ``planes``.
         """
-        within = self.margin if within is None else within
         s, width = self.settings, self.width
         flat = self.positions.reshape(-1, 3)
         lowest, highest = flat.min(0) - 0.5 * width, flat.max(0) + 0.5 * width
@@ -172,9 +169,10 @@ class Swept:
 
     def met(self) -> list[Met]:
         """Planes and balls that many vertices come close to, however that is counted, each once."""
-        touched: dict[tuple[float, ...], Obstacle] = {}
+        touched: dict[tuple[float, ...], Plane | Sphere] = {}
         for within in (share * self.width for share in self.settings.near):
-            for obstacle in (*self.planes(within), *self.balls(within)):
+            near: list[Plane | Sphere] = [*self.planes(within), *self.balls(within)]
+            for obstacle in near:
                 place = Contact(obstacle).place()
                 touched.setdefault(tuple(np.concatenate(list(place.values()))), obstacle)
         insides = [share * self.width for share in self.settings.inside]
@@ -183,7 +181,7 @@ class Swept:
     def beside(self, met: Met, aside: float) -> list[Met]:
         """The obstacle, and others of its kind a little aside, see TouchedSettings.asides."""
         obstacle = met.touched
-        others: list[Obstacle]
+        others: list[Plane | Sphere]
         if isinstance(obstacle, Plane):
             direction = -obstacle.normal.numpy()
             across = np.linalg.svd(direction[None])[2][1:]
@@ -191,12 +189,22 @@ class Swept:
             ring = np.stack((np.cos(turns), np.sin(turns)), -1) @ across
             others = [obstacle, *map(self.plane, np.cos(aside) * direction + np.sin(aside) * ring)]
         else:
-            assert isinstance(obstacle, Sphere)
             moves = aside * self.width * np.array(list(product((-1, 0, 1), repeat=3)), np.float64)
             others = [self.ball(obstacle.centre.numpy() + move) for move in moves]
         further = 0.25 * aside * self.width
         insides = sorted({max(0.0, met.inside + change) for change in (-further, 0.0, further)})
         return [Met(other, inside) for other, inside in product(others, insides)]
+
+
+@dataclass(frozen=True)
+class TouchedObstacles:
+    """What the cloth may touch.
+
+    Attributes:
+        of_clips: see JointClip.own, of every clip.
+    """
+
+    of_clips: list[dict[str, Effect]]
 
 
 def _highest(counts: NDArray[np.int64], most: int, close: Callable[[int], NDArray[np.bool_]]) -> list[int]:
@@ -223,7 +231,7 @@ def touching(
     base: JointFit,
     settings: TouchedSettings = DEFAULT,
     workers: Workers = ALONE,
-) -> list[dict[str, Effect]]:
+) -> TouchedObstacles:
     """For every clip contact, at zero, with the obstacle that explains most; nothing where no push helps.
 
     Args:
@@ -231,12 +239,9 @@ def touching(
         base: the base model, fitted.
         settings: see TouchedSettings.
         workers: share the windows of a clip.
-
-    Returns:
-        See JointClip.own.
     """
     found = [_of_clip(fitting, base, c, settings, workers) for c in range(len(fitting.clips))]
-    return [{} if contact is None else {contact.NAME: contact} for contact in found]
+    return TouchedObstacles([{} if contact is None else {contact.NAME: contact} for contact in found])
 
 
 def _of_clip(

@@ -33,7 +33,7 @@ from toile.diagnosis.session_settings import SessionSettings
 from toile.diagnosis.shooting import Shooting, ShootingSettings, WindowMotion, cosine_modes
 from toile.diagnosis.softened import ModelError, softened
 from toile.diagnosis.stored_values import ValueStore
-from toile.diagnosis.touched_obstacles import Met, Swept, _Pushes, touching
+from toile.diagnosis.touched_obstacles import Met, Swept, TouchedObstacles, _Pushes, touching
 from toile.diagnosis.tracked import Tracked
 from toile.effects.base import Effect, Scope, Surroundings
 from toile.effects.catalogue import CATALOGUE, OUTSIDE
@@ -876,7 +876,11 @@ class TestUnknownObstacles:
 
     def test_the_plane_is_found_and_explains_more_than_gusts(self) -> None:
         fitting, base = self.fitting(self.obstacle())
-        own = touching(fitting, base)
+        found = touching(fitting, base)
+        own = found.of_clips
+        store = ValueStore((TouchedObstacles,), (Contact(),))
+        kept = store.value(store.flat(found)).of_clips
+        np.testing.assert_equal(kept[0]["contact"].place(), own[0]["contact"].place())
         # Where the cloth is stopped it faces the way that the true one does.
         met = torch.from_numpy(fitting.clips[0].shooting.tracked.positions.reshape(-1, 3))
         met = met[self.obstacle()._obstacle.distance(met, met) < 0.003]
@@ -901,7 +905,7 @@ class TestUnknownObstacles:
 
     def test_where_nothing_is_touched_a_plane_explains_next_to_nothing(self) -> None:
         fitting, base = self.fitting()
-        own = touching(fitting, base)
+        own = touching(fitting, base).of_clips
         fit = self.gain(fitting, base, own) if any(own) else base
         assert base.misfit - fit.misfit < 6
 
@@ -929,7 +933,7 @@ class TestSwept:
         # A wall at x = 0.1, which half of the vertices lie against from frame 5 on.
         frames[..., 0] = np.minimum(frames[..., 0], 0.05)
         frames[5:, :25, 0] = 0.1 - 0.0005 * rng.random((15, 25))
-        plane = Swept(frames, 0.3).planes()[0]
+        plane = Swept(frames, 0.3).planes(0.006)[0]
         np.testing.assert_allclose(plane.normal, [-1.0, 0.0, 0.0], atol=0.1)
         flat = torch.from_numpy(frames.reshape(-1, 3))
         assert float(plane.distance(flat, flat).min()) > -1e-12
@@ -940,7 +944,7 @@ class TestSwept:
         assert sorted({one.inside for one in beside}) == pytest.approx([0.0, 0.25 * 0.1 * 0.3])
         # What lies against something from the first frame on has been there before.
         frames[:, :25] = frames[5, :25]
-        assert all(float(one.normal[0]) > -0.9 for one in Swept(frames, 0.3).planes()[:3])
+        assert all(float(one.normal[0]) > -0.9 for one in Swept(frames, 0.3).planes(0.006)[:3])
 
     def test_a_ball_that_the_cloth_is_laid_over_is_among_them(self) -> None:
         i, j = np.meshgrid(np.linspace(-0.25, 0.25, 21), np.linspace(-0.25, 0.25, 21), indexing="ij")
@@ -951,7 +955,7 @@ class TestSwept:
             z = np.maximum(np.where(over > 0, over, -1.0), height)
             frames.append(np.stack((i, j, centre[2] + z), -1).reshape(-1, 3))
         swept = Swept(np.array(frames), 0.5)
-        balls = swept.balls()
+        balls = swept.balls(0.01)
         away = [np.linalg.norm(ball.centre.numpy() - centre) for ball in balls[:10]]
         assert min(away) < 0.04
         nearest = balls[int(np.argmin(away))]
@@ -984,7 +988,7 @@ class TestSwept:
     def test_pushes_are_what_differentiation_says(self) -> None:
         shooting, around = clip(WINDS[0], ())
         x = shooting.tracked.positions
-        obstacles = [*Swept(x, 0.3).planes()[:3], *Swept(x, 0.3).balls()[:3]]
+        obstacles = [*Swept(x, 0.3).planes(0.006)[:3], *Swept(x, 0.3).balls(0.006)[:3]]
         pushes = _Pushes(obstacles, 0.2)
         at = torch.from_numpy(x[-1])
         now = StepContext(
