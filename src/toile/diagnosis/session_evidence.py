@@ -135,7 +135,8 @@ def promising(
 ) -> list[Effect]:
     """Effects with most evidence, those that the base model may have aside: their fit is there.
 
-    Stand-ins that are not far behind the best of them come beside.
+    Stand-ins that are not far behind the best of them come beside, and so does what no cloth could be like
+    around the base model and promises more than the least of them: a fit may find a cloth that can.
 
     Args:
         base: the base model.
@@ -146,11 +147,15 @@ def promising(
         plain: see session_evidence.
         fitted: effects that have been fitted.
     """
-    evidence = _of_motion(base, fits, errors, None, {}, plain)
+    promised = {name: replace(fit, possible=True) for name, fit in fits.items()}
+    evidence = _of_motion(base, promised, errors, None, {}, plain)
     nats = {name: evidence.nats(name) for name in fits if name not in fitted}
     names = sorted((name for name in nats if name not in STAND_INS), key=lambda name: -nats[name])
-    ranked = [name for name in names[:most] if nats[name] > _WORTH]
+    possible = [name for name in names if fits[name].possible]
+    ranked = [name for name in possible[:most] if nats[name] > _WORTH]
+    least = min([nats[name] for name in ranked], default=_WORTH)
     near = max([_WORTH, *(nats[name] - _NEAR for name in ranked)])
+    ranked += [name for name in names if not fits[name].possible and nats[name] > least]
     ranked += [name for name in nats if name in STAND_INS and nats[name] > near]
     return [effect for effect in effects if effect.NAME in ranked]
 

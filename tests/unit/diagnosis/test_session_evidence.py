@@ -1,0 +1,54 @@
+"""Which hypotheses of a session are worth a fit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from toile.diagnosis.joint_fit import JointFit
+from toile.diagnosis.model_errors import ModelErrors
+from toile.diagnosis.session_evidence import promising
+from toile.effects.catalogue import CATALOGUE, STAND_INS
+
+ERRORS = ModelErrors(cost=10.0, expected=10.0, share=0.001)
+EFFECTS = [CATALOGUE[name]() for name in ("air_drag", "gusts", "nonuniform_stiffness", "rest_curvature")] + [
+    STAND_INS["steady_forces"]()
+]
+BASE = JointFit((), np.zeros(0), np.zeros(0), np.zeros((0, 0)), [], [], 1000.0, (1000.0,), 0.0, True)
+
+
+def fits(impossible: str, **drops: float) -> dict[str, JointFit]:
+    """Around the base model, each with one well known coefficient."""
+    linear = replace(BASE, coefficients=np.ones(1), covariance=1e-4 * np.eye(1))
+    return {
+        name: replace(linear, misfit=BASE.misfit - drop, possible=name != impossible)
+        for name, drop in drops.items()
+    }
+
+
+def chosen(impossible: str = "", **drops: float) -> set[str]:
+    """Names of what is fitted, two at most."""
+    return {effect.NAME for effect in promising(BASE, fits(impossible, **drops), EFFECTS, ERRORS, 2)}
+
+
+def test_those_that_promise_most_are_fitted_and_stand_ins_near_them() -> None:
+    drops = {"air_drag": 90.0, "gusts": 60.0, "nonuniform_stiffness": 40.0, "rest_curvature": 20.0}
+    assert chosen(**drops, steady_forces=80.0) == {"air_drag", "gusts", "steady_forces"}
+    assert chosen(**drops, steady_forces=30.0) == {"air_drag", "gusts"}
+
+
+@pytest.mark.parametrize(("promise", "fitted"), [(500.0, True), (70.0, True), (40.0, False)])
+def test_what_no_cloth_could_be_like_around_the_base_model_is_asked_of_a_fit(
+    promise: float, fitted: bool
+) -> None:
+    """It takes no other effect's place, and sends no stand-in away: it may come to nothing."""
+    drops = {"air_drag": 90.0, "gusts": 60.0, "nonuniform_stiffness": 40.0, "rest_curvature": promise}
+    others = {"air_drag", "gusts", "steady_forces"}
+    found = chosen("rest_curvature", **drops, steady_forces=80.0)
+    assert found == (others | {"rest_curvature"} if fitted else others)
+
+
+def test_what_promises_nothing_is_not_fitted() -> None:
+    assert chosen("rest_curvature", air_drag=0.1, gusts=0.0, rest_curvature=0.5, steady_forces=0.2) == set()
