@@ -10,17 +10,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from toile.errors import InputError
-from toile.generation.blender import engine, process, world
+from toile.generation.blender import engine, process, scene, world
 from toile.generation.blender.__main__ import main
+from toile.generation.blender.balance import LARGEST_IMBALANCE, balanced, imbalance, imbalance_of
 from toile.generation.blender.effects import EFFECTS, effect_named
 from toile.generation.blender.exposure import distorted, expose, grown, srgb
 from toile.generation.blender.scene import TWIN_FILE, blender_scene, matched
 from toile.generation.blender.settings import BlenderSettings, random_settings
 from toile.generation.textures import procedural_texture
 from toile.scenes.native import load_native
+
+Array = NDArray[np.float64]
 
 TINY = BlenderSettings(
     name="tiny",
@@ -61,7 +65,43 @@ def _simulated(settings: BlenderSettings, folder: Path, *, with_effect: bool = T
     return np.load(folder / "motion.npy").astype(float)
 
 
+def pendulum(force: float, fps: float = 100.0) -> np.ndarray:
+    """A rigid square, 0.5 m, that swings about its upper side, pushed along its normal [m/s²]."""
+    heights, times, angle, speed = np.linspace(0, 0.5, 9), [], 0.4, 0.0
+    inertia, arm = (heights**2).mean(), heights.mean()
+    for _ in range(int(fps)):
+        times.append(angle)
+        for _ in range(40):
+            speed += ((-9.81 * np.sin(angle) + force) * arm / inertia) / (40 * fps)
+            angle += speed / (40 * fps)
+    away = np.array(times)[:, None] * np.ones(9)
+    places = np.stack([0 * away, heights * np.cos(away), heights * np.sin(away)], -1)
+    across = np.linspace(0, 0.5, 9)[:, None] * np.array([1.0, 0.0, 0.0])
+    return across[None, :, None] + places[:, None]
+
+
 class TestWithoutBlender:
+    def test_an_effect_that_levels_off_is_not_driven_on(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        asked = []
+
+        def moved(settings: BlenderSettings, work: Path, *, with_effect: bool, twin: object = None) -> Array:
+            motion = np.zeros((5, 15, 15, 3))
+            if with_effect:
+                asked.append(settings.values["bend_factor"])
+                motion[..., 0] = 0.01 * settings.cloth_size[0] * np.tanh(asked[-1] / 20)
+            return motion
+
+        monkeypatch.setattr(scene, "_simulated", moved)
+        monkeypatch.setattr(scene, "balanced", lambda settings, work, with_effect: settings)
+        found = matched(replace(TINY, effect="nonuniform_stiffness"), 0.03)
+        assert asked[1] == found.values["bend_factor"] > asked[0]
+        assert len(asked) == 2
+
+    @pytest.mark.parametrize("force", [0.0, 0.3])
+    def test_a_force_from_nowhere_is_found(self, force: float) -> None:
+        found = imbalance(pendulum(force), [(0, 0), (8, 0)], np.array([0.0, 9.81, 0.0]), 100.0)
+        assert found == pytest.approx(force, rel=0.02, abs=0.01)
+
     def test_missing_bpy_names_the_remedy(self, monkeypatch: pytest.MonkeyPatch) -> None:
         process._problem.cache_clear()
         with pytest.raises(InputError, match=r"toile\[blender\]"):
@@ -342,6 +382,16 @@ class TestWithBlender:
         assert a.camera == b.camera  # as declared
         if effect == "occluder":
             assert torch.equal(a.masks, b.masks)
+
+    def test_steps_are_as_short_as_the_balance_needs(self, tmp_path: Path) -> None:
+        """A stiff patch in long steps is turned by what the solver leaves over."""
+        stiff = {"bend_factor": 3000.0}
+        settings = replace(TINY, steps=2, effect="nonuniform_stiffness", parameters=stiff, bending=2.0)
+        assert imbalance_of(settings, tmp_path, with_effect=True) > LARGEST_IMBALANCE
+        found = balanced(settings, tmp_path, with_effect=True)
+        assert found.steps > settings.steps
+        assert found == replace(settings, steps=found.steps)
+        assert imbalance_of(found, tmp_path, with_effect=True) <= LARGEST_IMBALANCE
 
     def test_matched_strength(self, tmp_path: Path) -> None:
         settings = replace(TINY, n_frames=9, effect="gravity_tilt", parameters={"angle": 1.0})

@@ -76,7 +76,7 @@ _ALL = (
         "mechanics",
         "A smooth patch of vertices whose springs are up to `factor` times stiffer, `bend_factor` in "
         "bending; `width` of the patch as a fraction of the cloth's.",
-        {"factor": 3.0, "bend_factor": 40.0, "width": 0.35},
+        {"factor": 3.0, "bend_factor": 40.0, "width": 0.6},
         "bend_factor",
     ),
     BlenderEffect(
@@ -202,6 +202,15 @@ _ALL = (
 )
 EFFECTS: Mapping[str, BlenderEffect] = {effect.name: effect for effect in _ALL}
 """All effects by name."""
+
+WITHIN = (
+    "internal_damping",
+    "anisotropic_stiffness",
+    "nonuniform_stiffness",
+    "rest_curvature",
+    "shrinking",
+)
+"""Effects that are forces within the cloth."""
 
 
 def effect_named(name: str) -> BlenderEffect:

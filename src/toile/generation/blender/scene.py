@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from toile.errors import InputError
 from toile.generation.blender import process, world
-from toile.generation.blender.effects import effect_named
+from toile.generation.blender.balance import balanced
+from toile.generation.blender.effects import WITHIN, effect_named
 from toile.generation.blender.exposure import expose
 from toile.generation.blender.settings import BlenderSettings
 from toile.generation.textures import procedural_texture
@@ -33,6 +34,8 @@ TWIN_FILE = "ground_truth/null_twin_vertices.npy"
 """(F, H, W, 3) [m]: the same motion without the effect."""
 LABEL_FORMAT = 1
 _PIXEL_OF_EFFECT = 0.005
+_LEAST_SLOPE = 0.1
+"""Of an effect's size over its strength, both in logarithms: a patch that is rigid does no more."""
 
 
 def blender_scene(
@@ -45,7 +48,7 @@ def blender_scene(
     template projected by the declared camera, as with generated scenes.
 
     Args:
-        settings: see BlenderSettings.
+        settings: see BlenderSettings; the label has the steps that the cloth's balance needs.
         folder: target; must not exist unless ``overwrite``.
         overwrite: replace an existing folder.
 
@@ -62,6 +65,9 @@ def blender_scene(
         tempfile.TemporaryDirectory(prefix="toile-blender-") as scratch,
     ):
         work = Path(scratch)
+        settings = balanced(settings, work, with_effect=False)
+        if settings.effect in WITHIN:
+            settings = balanced(settings, work, with_effect=True)
         truth, twin = motions(settings, work)
         scene = _filmed(settings, truth, work)
         write_native(scene, new)
@@ -80,7 +86,8 @@ def matched(
     tolerance: float = 0.15,
     max_simulations: int = 6,
 ) -> BlenderSettings:
-    """The settings with the strength at which the motion differs from its twin by a wanted gap.
+    """The settings with the strength at which the motion differs from its twin by a wanted gap, and with as
+    many steps as the cloth's balance needs there.
 
     The gap is the mean distance over the last third, as a fraction of the cloth's width. Searched by secants
     in the logarithms, without rendering. Effects without a size in the motion are returned as they are.
@@ -99,12 +106,19 @@ def matched(
     if scaled is None:
         return settings
     with tempfile.TemporaryDirectory(prefix="toile-blender-") as scratch:
+        settings = balanced(settings, Path(scratch), with_effect=False)
         twin = _simulated(settings, Path(scratch), with_effect=False)
         tried: list[tuple[float, float]] = []
         value = settings.values[scaled]
         for _ in range(max_simulations):
             changed = replace(settings, parameters={**settings.parameters, scaled: value})
             try:
+                if settings.effect in WITHIN:
+                    changed = balanced(changed, Path(scratch), with_effect=True)
+                if changed.steps > settings.steps:
+                    # Shorter steps damp less, so the twin has them as well.
+                    settings = replace(settings, steps=changed.steps)
+                    twin = _simulated(settings, Path(scratch), with_effect=False)
                 truth = _simulated(changed, Path(scratch), with_effect=True, twin=twin)
                 reached = _gap(settings, truth, twin)
             except process.BlenderError:
@@ -115,7 +129,7 @@ def matched(
                 reached = math.inf
             if math.isfinite(reached):
                 tried.append((value, max(reached, 1e-9)))
-            if abs(math.log(max(reached, 1e-9) / gap)) <= math.log1p(tolerance):
+            if abs(math.log(max(reached, 1e-9) / gap)) <= math.log1p(tolerance) or _levels_off(tried, gap):
                 break
             value = _next_value(tried, gap, value)
         best = min(tried, key=lambda pair: abs(math.log(pair[1] / gap)))[0]
@@ -229,6 +243,14 @@ def _gap(settings: BlenderSettings, truth: Array, twin: Array) -> float:
 
 def _last_third(n_frames: int) -> slice:
     return slice(n_frames - math.ceil(n_frames / 3), None)
+
+
+def _levels_off(tried: list[tuple[float, float]], gap: float) -> bool:
+    """Whether the last strength was greater than the one before and did hardly more, though not enough."""
+    if len(tried) < 2 or tried[-1][1] >= gap:
+        return False
+    (value, reached), (greater, more) = tried[-2:]
+    return greater > value and math.log(more / reached) < _LEAST_SLOPE * math.log(greater / value)
 
 
 def _next_value(tried: list[tuple[float, float]], gap: float, value: float) -> float:

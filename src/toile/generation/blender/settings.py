@@ -26,7 +26,7 @@ class BlenderSettings:
         name: name of the scene.
         grid: grid (H, W) of the template and the ground truth, which a fit uses; H along the pinned edge.
         refinement: the simulated grid has refinement·(H-1)+1 by refinement·(W-1)+1 vertices.
-        steps: of the solver per video frame.
+        steps: of the solver per video frame, at least: more where balance.balanced asks for them.
         n_frames: number of frames F.
         fps: frames per second.
         cloth_size: sides along axis 0 and 1 [m].

@@ -117,7 +117,7 @@ def make_clips_with_blender(
     last: Exception | None = None
     for attempt in range(_ATTEMPTS):
         try:
-            first = _clip_settings(name, effects, seed, attempt, clips[0], small)
+            first = clip_settings(name, effects, seed, attempt, clips[0], small=small)
             parameters = _sized(first, effects)
             made = [_clip(name, effects, seed, attempt, clips[0], parameters, small)]
             _check_size(made[0], effects, _SMALLEST_SHARES[attempt])
@@ -172,7 +172,7 @@ def _clip(
     parameters: Mapping[str, float],
     small: bool,
 ) -> MadeScene:
-    settings = _clip_settings(name, effects, seed, attempt, plan, small)
+    settings = clip_settings(name, effects, seed, attempt, plan, small=small)
     levels = tuple((effect, f"{size:g} %") for effect, size in effects)
     made = _made(replace(settings, parameters=dict(parameters)), levels)
     session = {
@@ -184,15 +184,28 @@ def _clip(
     return replace(made, label={**made.label, "session": session})
 
 
-def _clip_settings(
+def clip_settings(
     name: str,
     effects: Sequence[tuple[str, float]],
     seed: int,
     attempt: int,
     plan: ClipPlan,
-    small: bool,
+    *,
+    small: bool = False,
 ) -> BlenderSettings:
-    """The session's cloth and camera with what is drawn for a clip."""
+    """The session's cloth and camera with what is drawn for a clip; its effect of usual strength.
+
+    Args:
+        name: as for make_clips_with_blender.
+        effects: as for make_clips_with_blender.
+        seed: as for make_clips_with_blender.
+        plan: of the clip.
+        attempt: further ones are other sessions.
+        small: as for make_clips_with_blender.
+
+    Raises:
+        InputError: more than one effect, or a clip that is turned.
+    """
     if len(effects) > 1 or plan.motion == "turned":
         raise InputError(
             "Blender makes no such session",

@@ -14,8 +14,8 @@ from toile.generation.blender.settings import BlenderSettings, random_settings
 from toile.generation.clip_plan import ClipPlan
 from toile.generation.out_of_family import from_blender
 from toile.generation.out_of_family.from_blender import (
-    _clip_settings,
     can_make_clips,
+    clip_settings,
     make_clips_with_blender,
     make_spare_clip_with_blender,
     why_no_blender,
@@ -26,7 +26,7 @@ CLIPS = (ClipPlan("release", 6, 50.0), ClipPlan("shake", 6, 50.0))
 
 def settings(motion: str, effect: str = "none") -> BlenderSettings:
     effects = () if effect == "none" else ((effect, 3.0),)
-    return _clip_settings("s", effects, 7, 0, ClipPlan(motion), small=False)
+    return clip_settings("s", effects, 7, 0, ClipPlan(motion), small=False)
 
 
 def test_clips_share_the_cloth() -> None:
