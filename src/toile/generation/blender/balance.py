@@ -24,8 +24,8 @@ from toile.physics.simulator import SimulationError
 Array = NDArray[np.float64]
 
 LARGEST_IMBALANCE = 0.03
-"""Root mean square acceleration that nothing accounts for, at most [m/s²]: gusts that move a cloth by 3 % of
-its width have 0.3 and more."""
+"""Root mean square acceleration that nothing accounts for, at most [m/s²]: what a cloth without any effect
+has in steps of 1 to 3 ms (docs/results/blender_balance.md)."""
 
 _SHORTEST = 1 / 3200
 """Step [s] below which a scene would take too long."""
