@@ -46,7 +46,8 @@ def test_motions_begin_at_rest_within_limits_with_a_foot_on_the_floor(name: str,
         assert len(poses) == 60
         assert float((poses.rotations[0] - torch.eye(3).double()).abs().max()) < 1e-12
         assert float(poses.root_translation[0].abs().max()) < 1e-12
-        assert float(beyond_limits(subject, poses).max()) == 0.0
+        # To rounding, which differs between processors.
+        assert float(beyond_limits(subject, poses).max()) < 1e-12
         some = Poses(poses.rotations[::6], poses.root_translation[::6])
         lowest = skin(subject, some, "linear")[..., 1].amin(1)
         assert float(lowest.min()) > -0.012

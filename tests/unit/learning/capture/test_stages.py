@@ -118,10 +118,11 @@ def test_simulation_is_a_target_without_gradients(
 
 
 def test_physics_takes_the_garment_out_of_the_body(training_set: TrainingSet, networks: Networks) -> None:
-    stage = physics(networks, training_set, steps=2, silhouette_rays=True, potential_weight=0.0)
+    stage = physics(networks, training_set, steps=8, silhouette_rays=True, potential_weight=0.0)
     fit(stage)
-    assert stage.frames_simulated == 2
-    assert stage.losses[-1]["simulation"] < stage.losses[0]["simulation"]
+    assert stage.frames_simulated == 8
+    # One step may go either way, by the last digits of a processor.
+    assert stage.losses[-1]["simulation"] < 0.9 * stage.losses[0]["simulation"]
 
 
 def test_the_potential_alone_lowers_the_energy_of_a_stretched_garment(
