@@ -18,7 +18,7 @@ import pandas as pd
 
 from toile.atomic_file import write_text
 from toile.generation.blender.balance import LARGEST_IMBALANCE, balanced, imbalance_of
-from toile.generation.blender.effects import WITHIN
+from toile.generation.blender.effects import EFFECTS, WITHIN
 from toile.generation.blender.scene import matched
 from toile.generation.clip_plan import DEFAULT_CLIPS
 from toile.generation.out_of_family.from_blender import clip_settings
@@ -77,8 +77,8 @@ def main() -> None:
     """Write the page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--seeds", type=int, nargs="+", default=[307])
-    scaled = [name for name in WITHIN if name != "shrinking"]
-    parser.add_argument("--effects", nargs="+", choices=["none", *WITHIN], default=["none", *scaled])
+    in_catalogue = [name for name in WITHIN if EFFECTS[name].in_catalogue]
+    parser.add_argument("--effects", nargs="+", choices=["none", *WITHIN], default=["none", *in_catalogue])
     given = parser.parse_args()
     rows = []
     for seed in given.seeds:

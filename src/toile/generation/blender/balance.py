@@ -24,8 +24,8 @@ from toile.physics.simulator import SimulationError
 Array = NDArray[np.float64]
 
 LARGEST_IMBALANCE = 0.03
-"""Root mean square acceleration that nothing accounts for, at most [m/s²]: what a cloth without any effect
-has in steps of 1 to 3 ms (docs/results/blender_balance.md)."""
+"""Root mean square acceleration that nothing accounts for, at most [m/s²]: a cloth without any effect has
+0.02 in steps of 1.25 ms (docs/results/blender_balance.md)."""
 
 _SHORTEST = 1 / 3200
 """Step [s] below which a scene would take too long."""
