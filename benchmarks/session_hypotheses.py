@@ -10,7 +10,7 @@ from opened_session import OpenedSession
 
 from toile.diagnosis.effect_evidence import EffectEvidence
 from toile.diagnosis.effect_sensitivities import FORCES
-from toile.diagnosis.effect_size import displacement
+from toile.diagnosis.effect_size import Displacements
 from toile.diagnosis.joint_fit import JointFit
 from toile.diagnosis.outside_causes import OutsideCauses, outside_causes
 from toile.diagnosis.session_diagnosis import learned_chances, stand_in_sizes
@@ -103,12 +103,13 @@ def hypotheses(
     evidence: dict[str, EffectEvidence] = {}
     sizes: dict[str, float] = {}
     seconds: dict[str, float] = {}
+    moved_by = Displacements(fitting.clips, fitting.start, model.width)
     for effect in moving:
         name, began = effect.NAME, time.process_time()
         if effect in chosen:
             fits[name] = fitting.fitted_hypothesis(effect, base)
         evidence[name] = fits[name].evidence(against[name])
-        sizes[name] = displacement(fitting.clips, fitting.start, fits[name], model.width).last
+        sizes[name] = moved_by.of(fits[name]).last
         seconds[name] = time.process_time() - began
     causes = outside.causes
     said = {name: size for name, size in sizes.items() if name not in base.names}

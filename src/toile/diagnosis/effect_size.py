@@ -17,7 +17,6 @@ from toile.diagnosis.base_fit import N_WIND, base_of
 from toile.diagnosis.joint_fit import JointClip, JointFit, tracked_windows
 from toile.diagnosis.mechanics import Mechanics
 from toile.diagnosis.refits import Refit, acting_with, within_bounds
-from toile.diagnosis.shooting import Base
 from toile.effects.base import Effect
 
 Array = NDArray[np.float64]
@@ -66,54 +65,76 @@ class Displacement:
         return Displacement(np.zeros(n_frames), 0.0)
 
 
-def displacement(clips: Sequence[JointClip], start: Array, fit: JointFit, width: float) -> Displacement:
-    """How far the effect in question moves the cloth of the first clip.
+class Displacements:
+    """How far effects in question move the cloth of the first clip.
 
     The clip is simulated from its first frame to its last, with the effect and without, all else equal. What
-    blows up is simulated in shorter pieces; where even those do, the distance is infinite.
+    blows up is simulated in shorter pieces; where even those do, the distance is infinite. Hypotheses around
+    one base model have the same motion without their effect, which is simulated once.
 
     Args:
         clips: of the session.
         start: material that log ratios refer to (P,).
-        fit: in which one effect is in question.
         width: of the cloth [m].
     """
-    clip, n_material = clips[0], len(start)
-    frames = clip.windows[-1].last
-    if not np.any(fit.own):
-        return Displacement.none(frames + 1)
-    # Effects of the base model act in both.
-    usual = fit.effects[0][:-1] if fit.n_usual else ()
-    values = np.concatenate((fit.values[:n_material], fit.values[n_material : n_material + N_WIND]))
-    base = base_of(start, values)
-    found = None
-    length = frames
-    while found is None and length >= _FEWEST:
-        found = _distances(clip, base, usual, fit.effects[0], length)
-        length //= 2
-    if found is None:
-        return Displacement(np.full(frames + 1, np.inf), np.inf)
-    every = np.concatenate([np.zeros(1), *(piece[1:] for piece in found)]) / width
-    return Displacement(
-        every, float(np.mean([piece[2 * len(piece) // 3 :].mean() for piece in found])) / width
-    )
 
+    def __init__(self, clips: Sequence[JointClip], start: Array, width: float) -> None:
+        self.clip, self.start, self.width = clips[0], start, width
+        self._without: dict[tuple[int, bytes, bytes, tuple[str, ...]], list[Array] | None] = {}
 
-def _distances(
-    clip: JointClip, base: Base, usual: tuple[Effect, ...], effects: tuple[Effect, ...], frames: int
-) -> list[Array] | None:
-    """Mean distance of every frame of pieces of so many frames [m]; None where a step fails."""
-    shooting = clip.shooting.with_window(frames)
-    models = [shooting.with_effects(acting, clip.around, base) for acting in (usual, effects)]
-    away = []
-    for window in tracked_windows(shooting, clip.windows[-1].last + 1):
-        try:
-            both = [shooting.simulate(window, window.standardised, base, given) for given in models]
-        except FloatingPointError:
+    def of(self, fit: JointFit) -> Displacement:
+        """How far the effect moves it that is in question in a fit."""
+        frames = self.clip.windows[-1].last
+        if not np.any(fit.own):
+            return Displacement.none(frames + 1)
+        found = None
+        length = frames
+        while found is None and length >= _FEWEST:
+            found = self._distances(fit, length)
+            length //= 2
+        if found is None:
+            return Displacement(np.full(frames + 1, np.inf), np.inf)
+        every = np.concatenate([np.zeros(1), *(piece[1:] for piece in found)]) / self.width
+        return Displacement(
+            every, float(np.mean([piece[2 * len(piece) // 3 :].mean() for piece in found])) / self.width
+        )
+
+    def _distances(self, fit: JointFit, frames: int) -> list[Array] | None:
+        """Mean distance of every frame of pieces of so many frames [m]; None where a step fails."""
+        without = self._motion_without(fit, frames)
+        there = None if without is None else self._motion(fit, fit.effects[0], frames)
+        if without is None or there is None:
             return None
-        if not all(one.converged for one in both):
-            return None
-        distance = np.linalg.norm((both[1].positions - both[0].positions)[:: shooting.substeps], axis=-1)
         # Lines of the grid may be closer at the borders; masses are shares of the area.
-        away.append(distance @ (shooting.masses / shooting.masses.sum()))
-    return away
+        masses = self.clip.shooting.masses
+        shares = masses / masses.sum()
+        return [
+            np.linalg.norm(moved - still, axis=-1) @ shares
+            for moved, still in zip(there, without, strict=True)
+        ]
+
+    def _motion_without(self, fit: JointFit, frames: int) -> list[Array] | None:
+        # Effects of the base model act in both.
+        usual = fit.effects[0][:-1] if fit.n_usual else ()
+        strength = fit.coefficients[: fit.n_usual]
+        key = (frames, fit.values.tobytes(), strength.tobytes(), tuple(effect.NAME for effect in usual))
+        if key not in self._without:
+            self._without[key] = self._motion(fit, usual, frames)
+        return self._without[key]
+
+    def _motion(self, fit: JointFit, effects: tuple[Effect, ...], frames: int) -> list[Array] | None:
+        """Positions (frames + 1, N, 3) [m] of pieces of so many frames; None where a step fails."""
+        n = len(self.start)
+        base = base_of(self.start, fit.values[: n + N_WIND])
+        shooting = self.clip.shooting.with_window(frames)
+        given = shooting.with_effects(effects, self.clip.around, base)
+        found = []
+        for window in tracked_windows(shooting, self.clip.windows[-1].last + 1):
+            try:
+                moved = shooting.simulate(window, window.standardised, base, given)
+            except FloatingPointError:
+                return None
+            if not moved.converged:
+                return None
+            found.append(moved.positions[:: shooting.substeps])
+        return found

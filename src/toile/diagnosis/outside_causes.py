@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toile.diagnosis.effect_evidence import EffectEvidence
-from toile.diagnosis.effect_size import Displacement, displacement
+from toile.diagnosis.effect_size import Displacement, Displacements
 from toile.diagnosis.evidence import Evidence
 from toile.diagnosis.fingerprint import fingerprint
 from toile.diagnosis.hem import Hem
@@ -166,13 +166,14 @@ def judged(
     # Reduced once for all: the windows' own unknowns are most of the work.
     evidence = fitting.quadratic(candidates, base, fitting.systems(candidates, base, workers))
     by_name = {effect.NAME: effect for effect in outside}
+    displacements = Displacements(fitting.clips, fitting.start, width)
     return OutsideCauses(
         {
             name: OutsideCause(
                 fit.evidence(base),
                 fit.own,
                 fit.own_covariance,
-                displacement(fitting.clips, fitting.start, fit, width),
+                displacements.of(fit),
                 _beside(fitting, base, by_name[name], candidates, evidence),
             )
             for name, fit in fitting.linearised(candidates, base, evidence).items()

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toile.diagnosis.decision import NONE, UNKNOWN
-from toile.diagnosis.effect_size import displacement
+from toile.diagnosis.effect_size import Displacements
 from toile.diagnosis.joint_fit import JointFit
 from toile.diagnosis.outside_causes import OutsideCauses
 from toile.diagnosis.pipeline import Pipeline
@@ -143,10 +143,11 @@ class EffectsBeside:
         for effect in promising(with_first, linear, of_law, errors, 1):
             stage = self.stages.fit_beside(fitting, effect, first, share)
             fits[effect.NAME] = self.pipeline.run(stage, self.motion, with_first)
+        moved_by = Displacements(fitting.clips, fitting.start, model.width)
         sizes = {
             name: causes[name].displacement.last
             if name in causes and name not in PUSHING
-            else displacement(fitting.clips, fitting.start, fit, model.width).last
+            else moved_by.of(fit).last
             for name, fit in fits.items()
         }
         within = {name: fit.evidence(with_first) for name, fit in fits.items()}

@@ -20,7 +20,7 @@ from toile.diagnosis.arrays import FRAMES_FILE, VERTICES_FILE
 from toile.diagnosis.decision import UNKNOWN, Calibration
 from toile.diagnosis.effect_evidence import EffectEvidence
 from toile.diagnosis.effect_sensitivities import FORCES
-from toile.diagnosis.effect_size import Displacement, displacement
+from toile.diagnosis.effect_size import Displacement, Displacements
 from toile.diagnosis.findings import estimates, finding
 from toile.diagnosis.fingerprint import fingerprint
 from toile.diagnosis.gap_maps import stage_chances
@@ -231,8 +231,9 @@ def diagnose_session(
     learned = learned_chances(clips, motion)
     fitting = model.fitting
     # How far causes from outside move the cloth is known where they were judged.
+    moved_by = Displacements(fitting.clips, fitting.start, model.width)
     displacements = {
-        name: displacement(fitting.clips, fitting.start, fit, model.width)
+        name: moved_by.of(fit)
         for name, fit in fits.items()
         if name not in outside.causes or name in (*PUSHING, *STAND_INS)
     }

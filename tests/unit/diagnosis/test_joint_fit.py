@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from toile.diagnosis.base_fit import base_of, base_sensitivities, local_scales, nothing_seen
-from toile.diagnosis.effect_size import displacement
+from toile.diagnosis.effect_size import Displacements
 from toile.diagnosis.hem import Hem
 from toile.diagnosis.image_information import as_array
 from toile.diagnosis.joint_fit import (
@@ -193,7 +193,8 @@ class TestFits:
     def test_how_far_an_effect_moves_the_cloth(self, dragged: Problem) -> None:
         """As far as the clips themselves say: with the drag against without it, all else equal."""
         fit, fitting = dragged.drag, dragged.fitting
-        found = displacement(fitting.clips, fitting.start, fit, 0.3)
+        moved_by = Displacements(fitting.clips, fitting.start, 0.3)
+        found = moved_by.of(fit)
         far = found.last
         assert found.frames.shape == (FRAMES,)
         assert found.frames[0] == 0.0
@@ -205,11 +206,17 @@ class TestFits:
         (acting,) = fit.effects[0]
         half = acting_with(acting, 0.5 * fit.coefficients)
         weaker = replace(fit, coefficients=0.5 * fit.coefficients, effects=[(half,)] * 2)
-        assert displacement(fitting.clips, fitting.start, weaker, 0.3).last == pytest.approx(
-            0.5 * far, rel=0.3
-        )
+        half_as_far = moved_by.of(weaker)
+        assert half_as_far.last == pytest.approx(0.5 * far, rel=0.3)
+        # The motion without it is kept for the next fit, and is another on another material.
+        alone = Displacements(fitting.clips, fitting.start, 0.3).of(weaker)
+        assert np.array_equal(half_as_far.frames, alone.frames)
+        softer = replace(weaker, values=weaker.values - 0.5 * (np.arange(len(weaker.values)) == 0))
+        alone = Displacements(fitting.clips, fitting.start, 0.3).of(softer)
+        assert not np.array_equal(moved_by.of(softer).frames, half_as_far.frames)
+        assert np.array_equal(moved_by.of(softer).frames, alone.frames)
         nothing = replace(fit, coefficients=np.zeros_like(fit.coefficients))
-        assert displacement(fitting.clips, fitting.start, nothing, 0.3).last == 0.0
+        assert moved_by.of(nothing).last == 0.0
 
     def test_no_effect_gains_where_none_acts(self, still: Problem) -> None:
         assert still.base.misfit - still.drag.misfit < still.drag.occam
