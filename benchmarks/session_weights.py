@@ -3,6 +3,7 @@
     python benchmarks/session_weights.py  # from docs/results/session_evidence_finer.csv
     python benchmarks/session_weights.py --graded outputs/blind_predictions/NAME=MARKS.csv
         # adds a graded set first, or FOLDER alone: diagnoses of sessions of the ladder, by name
+    python benchmarks/session_weights.py --clips 3 --graded ...  # from three clips, not the first
     python benchmarks/session_weights.py --ship  # puts what is best on these cases into the package
     python benchmarks/session_weights.py --into TABLE.csv --graded ...  # keeps them, nothing is learnt
 
@@ -47,7 +48,8 @@ from toile.generation.out_of_family.catalogue import OUTSIDE
 Array = NDArray[np.float64]
 
 RESULTS = Path("docs") / "results"
-RUNGS = (REFINED, "refined")
+RUNGS = {1: REFINED, 3: "refined"}
+"""By clips."""
 AS_NONE = ("anchor_slip",)
 """Causes that images show; what they do beside is no effect on the motion."""
 LEFT_OUT = ("gravity_tilt",)
@@ -83,27 +85,26 @@ def cases_of(table: pd.DataFrame) -> list[SessionCase]:
     """Evidence of every session on the rungs that a diagnosis has."""
     seen = pd.read_csv(SIZES_SEEN).set_index("session")["change of size [%]"] / 100
     found = []
-    for (rung, session), own in table[table["rung"].isin(RUNGS)].groupby(["rung", "session"], sort=False):
+    table = table[table["rung"].isin(RUNGS.values())]
+    for (rung, session), own in table.groupby(["rung", "session"], sort=False):
         cause = str(own["cause"].iloc[0]) if "cause" in own else cause_of(str(session))
         if cause in OUTSIDE and set(STAND_INS) & set(own["effect"]):
             cause = UNKNOWN
         elif cause in LEFT_OUT or cause not in (NONE, *AS_NONE, *own["effect"]):
             continue
         by_name = own.set_index("effect")
+        # A base model may have none.
+        usual = " ".join(map(str, own["usual"].dropna().unique())).split()
         learned = by_name["learned"].dropna().to_dict() or None
         evidence = MotionEvidence(
             ModelErrors(*(float(own[key].iloc[0]) for key in ("cost of errors", "expected cost", "share"))),
             {str(name): _effect(row) for name, row in by_name.iterrows()},
             learned,
-            {
-                name: by_name.loc[name, "moves the cloth by [% of the width]"] / 100
-                for name in str(own["usual"].iloc[0]).split()
-            },
+            {name: by_name.loc[name, "moves the cloth by [% of the width]"] / 100 for name in usual},
             {
                 str(name): row["moves the cloth by [% of the width]"] / 100
                 for name, row in by_name.iterrows()
-                if name not in str(own["usual"].iloc[0]).split()
-                and np.isfinite(row["moves the cloth by [% of the width]"])
+                if name not in usual and np.isfinite(row["moves the cloth by [% of the width]"])
             },
         )
         freed_sizes = {
@@ -118,17 +119,18 @@ def cases_of(table: pd.DataFrame) -> list[SessionCase]:
             freed = by_name[by_name["outside drop"].notna()]
             outside = {str(name): _effect(row, "outside ") for name, row in freed.iterrows()}
             evidence = replace(evidence, outside=outside)
-        n = 1 if "one clip" in str(rung) else 3
+        (n,) = (clips for clips, name in RUNGS.items() if name == rung)
         found.append(SessionCase(str(session), NONE if cause in AS_NONE else cause, evidence, n))
     return found
 
 
-def graded_evidence(folder: Path, marks: pd.DataFrame) -> pd.DataFrame:
+def graded_evidence(folder: Path, marks: pd.DataFrame, rung: str = REFINED) -> pd.DataFrame:
     """Evidence of sealed sessions with open labels in the form of session_evidence.csv.
 
     Args:
-        folder: of diagnoses of first clips, every session in a folder of its own.
+        folder: of diagnoses, every session in a folder of its own.
         marks: of all sessions, see docs/results/blind_sessions_marks.csv.
+        rung: which clips they are from.
     """
     rows: list[dict[str, object]] = []
     of_motion = marks[~marks["of_the_image"]].drop_duplicates("scene")
@@ -136,23 +138,24 @@ def graded_evidence(folder: Path, marks: pd.DataFrame) -> pd.DataFrame:
         if not (folder / str(mark.scene) / EVIDENCE_FILE).is_file():
             # Of another set, or not answered.
             continue
-        rows += _rows(folder / str(mark.scene), str(mark.scene), str(mark.generator), str(mark.truth))
+        about = (str(mark.scene), str(mark.generator), str(mark.truth), rung)
+        rows += _rows(folder / str(mark.scene), *about)
     return pd.DataFrame(rows)
 
 
-def developed_evidence(folder: Path) -> pd.DataFrame:
-    """The same of diagnoses from first clips of sessions that session_ladder names."""
+def developed_evidence(folder: Path, rung: str = REFINED) -> pd.DataFrame:
+    """The same of diagnoses of sessions that session_ladder names."""
     rows: list[dict[str, object]] = []
     for run in sorted(path.parent for path in folder.glob(f"*/{EVIDENCE_FILE}")):
         if run.name.count("_") < 2:
             # A sealed session, whose folder tells nothing.
             continue
         engine = "blender" if run.name.startswith(BLENDER) else "toile"
-        rows += _rows(run, run.name, engine, cause_of(run.name))
+        rows += _rows(run, run.name, engine, cause_of(run.name), rung)
     return pd.DataFrame(rows)
 
 
-def _rows(run: Path, session: str, engine: str, cause: str) -> list[dict[str, object]]:
+def _rows(run: Path, session: str, engine: str, cause: str, rung: str) -> list[dict[str, object]]:
     evidence = MotionEvidence.load(run / EVIDENCE_FILE)
     sizes = {**evidence.sizes, **evidence.usual}
     return [
@@ -160,7 +163,7 @@ def _rows(run: Path, session: str, engine: str, cause: str) -> list[dict[str, ob
             "session": session,
             "engine": engine,
             "cause": cause,
-            "rung": REFINED,
+            "rung": rung,
             "usual": " ".join(evidence.usual),
             "cost of errors": evidence.base.cost,
             "expected cost": evidence.base.expected,
@@ -188,18 +191,25 @@ def main() -> None:
     help_ = "FOLDER=MARKS.csv of graded sets, FOLDER of others"
     parser.add_argument("--graded", nargs="+", default=[], help=help_)
     parser.add_argument("--into", type=Path, default=FINER, help="another table than that which teaches")
+    parser.add_argument("--clips", type=int, choices=RUNGS, default=1, help="that --graded is from")
     parser.add_argument("--ship", action="store_true", help="put the weights into the package")
     given = parser.parse_args()
     if given.into != FINER and not given.graded:
         parser.error("--into: expected --graded beside it, got nothing to keep")
     for one in given.graded:
         folder, _, marks = str(one).partition("=")
-        new = graded_evidence(Path(folder), pd.read_csv(marks)) if marks else developed_evidence(Path(folder))
+        rung = RUNGS[given.clips]
+        new = (
+            graded_evidence(Path(folder), pd.read_csv(marks), rung)
+            if marks
+            else developed_evidence(Path(folder), rung)
+        )
         if new.empty:
             parser.error(f"--graded {one}: expected evidence of a session of it, got none in {folder}")
         if given.into.is_file():
             there = pd.read_csv(given.into)
-            new = pd.concat([there[~there["session"].isin(new["session"])], new])
+            again = there["session"].isin(new["session"]) & (there["rung"] == rung)
+            new = pd.concat([there[~again], new])
         write_text(given.into, new.to_csv(index=False, float_format="%.5g"))
     if given.into != FINER:
         return
