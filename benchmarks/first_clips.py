@@ -4,8 +4,10 @@
         # keeps the evidence of each in outputs/first_clips/SESSION, and leaves what is there
     python benchmarks/session_weights.py --graded outputs/first_clips outputs/first_clips=MARKS.csv
         # adds it to docs/results/session_evidence_finer.csv
+    python benchmarks/first_clips.py --all-clips outputs/session_ladder/SESSION ...
+        # the same of all clips of each, in outputs/all_clips: session_weights.py --clips 3
 
-As ``toile blind run one_clip=true`` judges them, without a prediction of what was held out and without
+As ``toile blind run`` (``one_clip=true``) judges them, without a prediction of what was held out and without
 clips to be recorded next: half the time.
 """
 
@@ -29,16 +31,17 @@ from toile.effects.contact import Contact
 from toile.reports.run_folder import current_git_revision
 
 KEPT = Path("outputs") / "first_clips"
+KEPT_OF_ALL = Path("outputs") / "all_clips"
 FINDINGS_FILE = "findings.json"
 _SAID = 0.005
 """Probability below which nothing is said of a hypothesis."""
 
 
 @denormals_flushed()
-def judged(folder: Path, out: Path) -> dict[str, Any]:
-    """What the first clip of a session says; its evidence is kept in ``out``."""
+def judged(folder: Path, out: Path, *, first: bool = True) -> dict[str, Any]:
+    """What the first clip of a session says, or all of them; their evidence is kept in ``out``."""
     began = time.process_time()
-    session = opened(folder, out, first=True)
+    session = opened(folder, out, first=first)
     found = hypotheses(session, session.refined(), session.together)
     found.evidence.write(out / EVIDENCE_FILE)
     findings = {
@@ -48,7 +51,7 @@ def judged(folder: Path, out: Path) -> dict[str, Any]:
         "share": found.evidence.base.share,
         "probabilities": {name: p for name, p in found.chances().items() if p > _SAID},
         "effects": _of_effects(found),
-        "obstacle": _obstacle(found),
+        "obstacles": _obstacles(found),
     }
     write_text(out / FINDINGS_FILE, json.dumps(findings, indent=1) + "\n")
     return findings
@@ -70,9 +73,12 @@ def _of_effects(found: Hypotheses) -> dict[str, dict[str, float | None]]:
     }
 
 
-def _obstacle(found: Hypotheses) -> dict[str, list[float]] | None:
-    (own,) = found.model.own
-    return {k: v.tolist() for k, v in own[Contact.NAME].place().items()} if Contact.NAME in own else None
+def _obstacles(found: Hypotheses) -> list[dict[str, list[float]] | None]:
+    """What every clip's cloth may touch."""
+    return [
+        {k: v.tolist() for k, v in own[Contact.NAME].place().items()} if Contact.NAME in own else None
+        for own in found.model.own
+    ]
 
 
 def main() -> None:
@@ -80,15 +86,19 @@ def main() -> None:
     torch.set_num_threads(1)
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("sessions", nargs="+", type=Path, help="folders with session.yaml")
-    parser.add_argument("--out", type=Path, default=KEPT, help="where evidence is kept (%(default)s)")
+    parser.add_argument("--all-clips", action="store_true", help="not the first of each alone")
+    parser.add_argument("--out", type=Path, help=f"where evidence is kept ({KEPT}, {KEPT_OF_ALL})")
     given = parser.parse_args()
+    kept_in = given.out or (KEPT_OF_ALL if given.all_clips else KEPT)
     for folder in given.sessions:
         if not (folder / "session.yaml").is_file():
             parser.error(f"expected folders with session.yaml, got {folder}")
     for folder in given.sessions:
-        out = given.out / folder.name
+        out = kept_in / folder.name
         kept = out / FINDINGS_FILE
-        findings: dict[str, Any] = json.loads(kept.read_text()) if kept.is_file() else judged(folder, out)
+        findings: dict[str, Any] = (
+            json.loads(kept.read_text()) if kept.is_file() else judged(folder, out, first=not given.all_clips)
+        )
         said = ", ".join(f"{name} {p:.3f}" for name, p in findings["probabilities"].items())
         took = f"{findings['CPU [s]']:.0f} s of the processor, {findings['revision'][:7]}"
         print(f"{folder.name}: {said} ({took})", flush=True)
