@@ -314,7 +314,7 @@ class JointFit:
         misfit: negative log-posterior without determinants: of images, ties, and priors.
         history: misfit after every pass.
         occam: half the log determinant of what the effects' coefficients have learnt.
-        converged: whether the last pass gained little.
+        converged: whether there was little left to gain: False where passes ran out, or no step gained.
         size: prior deviation of its own coefficients under which it was fitted.
         n_usual: coefficients of the base model's effects, which come before its own.
         deviation: see Effect.deviation, of the effect in question on the material of the fit.
@@ -467,8 +467,8 @@ class JointFitting:
         for k in range(self.settings.passes):
             moved, damping, trusted = self._step(layout, place, evidence, damping, workers)
             if moved is None:
-                # Nothing to gain, or nowhere to go: the quadratic does not hold even for short steps.
-                converged = True
+                # Nothing to gain; or nowhere to go, where the quadratic does not hold even for short steps.
+                converged = trusted
                 break
             first = place.misfit - moved.misfit
             moved = self._further(layout, moved, first, evidence, damping, workers)
@@ -986,7 +986,9 @@ class JointFitting:
                 )
             except FloatingPointError:
                 return None
-        if not all(window.converged for window in chain.from_iterable(windows)):
+        pairs = zip(chain.from_iterable(place.windows), chain.from_iterable(windows), strict=True)
+        if any(before.converged and not now.converged for before, now in pairs):
+            # One that is not at rest in its potential where a fit begins must not hold up all others.
             return None
         cost = self._cost(layout, windows, values, coefficients)
         return replace(

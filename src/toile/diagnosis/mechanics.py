@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -128,7 +128,12 @@ def start_material(grid: ModelGrid, stiffness: tuple[float, float, float]) -> Ar
 
 
 def shooting_of(
-    scene: Scene, grid: ModelGrid, tracked: Tracked, settings: ShootingSettings, longest_substep: float
+    scene: Scene,
+    grid: ModelGrid,
+    tracked: Tracked,
+    settings: ShootingSettings,
+    longest_substep: float,
+    newton_iterations: int | None = None,
 ) -> Shooting:
     """The problem on one grid.
 
@@ -138,14 +143,16 @@ def shooting_of(
         tracked: motion on it.
         settings: see ShootingSettings.
         longest_substep: [s].
+        newton_iterations: of a sub-step at most; None for as many as is usual.
     """
     substeps = fewest_substeps(1 / scene.fps, longest_substep)
     gravity = scene.gravity.numpy().astype(np.float64)
     horizontal = horizontal_axes(torch.from_numpy(gravity)).numpy()
     tension = template_tension(grid.cloth, tracked.positions[0], gravity, horizontal, settings.tension_ridge)
-    simulator = ImplicitSimulator(
-        grid.cloth, 1 / scene.fps / substeps, BDF2(), NewtonSettings(settings.newton_tolerance), (tension,)
-    )
+    newton = NewtonSettings(settings.newton_tolerance)
+    if newton_iterations is not None:
+        newton = replace(newton, max_iterations=newton_iterations)
+    simulator = ImplicitSimulator(grid.cloth, 1 / scene.fps / substeps, BDF2(), newton, (tension,))
     pinned = grid.cloth.pinned.numpy()
     return Shooting(
         simulator,

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from toile.diagnosis.joint_fit import JointFit
 from toile.diagnosis.session_stages import SeenClip
 from toile.generation.clip_plan import MOTIONS
 from toile.scenes.session import SessionClip
@@ -47,6 +48,23 @@ def moved_holders(
                 f"({', '.join(MOTIONS)})"
             )
     return found
+
+
+def stopped_short(base: JointFit, fits: Mapping[str, JointFit]) -> list[str]:
+    """One sentence where fits have not arrived: what they say against each other may be off.
+
+    Args:
+        base: of the base model.
+        fits: of hypotheses that were fitted, by name.
+    """
+    short = ["the base model"] if not base.converged else []
+    short += [name for name, fit in fits.items() if not fit.converged]
+    if not short:
+        return []
+    return [
+        f"what moves the cloth is less sure than it is said to be: the fit of {' and of '.join(short)} has "
+        "stopped before it had arrived"
+    ]
 
 
 def stand_still(clip: SeenClip, positions: Array) -> bool:

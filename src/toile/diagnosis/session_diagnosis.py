@@ -48,7 +48,7 @@ from toile.diagnosis.record import (
 from toile.diagnosis.results import KINDS
 from toile.diagnosis.second_effect import EffectsBeside, SecondEffect
 from toile.diagnosis.session_alias import SessionAlias, session_alias
-from toile.diagnosis.session_checks import moved_holders, unknown_motions
+from toile.diagnosis.session_checks import moved_holders, stopped_short, unknown_motions
 from toile.diagnosis.session_evidence import (
     SessionEvidence,
     promising,
@@ -222,6 +222,7 @@ def diagnose_session(
     for k, effect in enumerate(chosen):
         share = 0.64 + 0.24 * (k + 1) / (len(chosen) + 1)
         fits[effect.NAME] = pipeline.run(stages.fit(effect, share), motion, base)
+    remarkable += _said(stopped_short(base, {effect.NAME: fits[effect.NAME] for effect in chosen}))
 
     progress("what the clips say together", 0.88)
     calibration = Calibration.load(None if settings.calibration is None else Path(settings.calibration))
@@ -437,6 +438,9 @@ def _report(
     # What may be moving the cloth, even where that may as well be nothing.
     moving = next((name for name in evidence.chances if name in found.displacements), "")
     moved = found.displacements[moving].frames.tolist() if moving else []
+    if not np.all(np.isfinite(moved)):
+        # A cloth that the effect tears apart in the simulation is nowhere.
+        moved = []
     return GapReport(
         verdict,
         Where(

@@ -90,6 +90,8 @@ class SessionSettings:
         crowding: by how much lines of its grid come closer towards the borders, see GridLines; 0 for evenly
             spaced ones.
         longest_substep: of the model [s].
+        newton_iterations: of a sub-step at most. A stiff cloth that pulls and hardly pushes has many kinks to
+            pass where a window begins out of balance.
         window: length of the windows [s]. Short ones are nearly linear in what is unknown, so a fit arrives
             where with long ones it halts half-way.
         jump_position: of each mode of what lies between the end of a window and the start of the next [m].
@@ -129,6 +131,7 @@ class SessionSettings:
     side: Annotated[int, Field(ge=4), Unit("vertices")] = 20
     crowding: Crowding = 0.5
     longest_substep: Annotated[Positive, Unit("s")] = 0.01
+    newton_iterations: Count = 200
     window: Annotated[Positive, Unit("s")] = 0.04
     jump_position: Annotated[Positive, Unit("m")] = 0.0001
     jump_velocity: Annotated[Positive, Unit("m/s")] = 0.002

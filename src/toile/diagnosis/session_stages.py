@@ -409,7 +409,7 @@ def _joint(
         modes=s.modes,
         likelihood_weight=1.0,
     )
-    shooting = shooting_of(problem.scene, grid, tracked, own, s.longest_substep)
+    shooting = shooting_of(problem.scene, grid, tracked, own, s.longest_substep, s.newton_iterations)
     around = surroundings(problem.scene, grid)
     free = s.fit.force > 0
     joint = joint_clip(

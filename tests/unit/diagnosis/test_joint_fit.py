@@ -190,6 +190,31 @@ class TestFits:
         assert np.exp(base.values[:3]) * 1.5 == pytest.approx(1.0, abs=0.25)
         assert base.values[3:] == pytest.approx(np.concatenate(WINDS), abs=0.15)
 
+    def test_windows_out_of_balance_do_not_hold_up_the_others(self, still: Problem) -> None:
+        """Sub-steps of one clip that end short of their tolerance: every step of the fit has such windows."""
+        clips = [joint_clip(*clip(wind, ()), FRAMES) for wind in WINDS]
+        clips[1].shooting.simulator.newton = NewtonSettings(1e-12, max_iterations=3)
+        fitting = JointFitting(clips, 1.5 * STIFFNESS, np.zeros(3))
+        start = fitting.start_fit()
+        assert all(window.converged for window in start.windows[0])
+        assert not any(window.converged for window in start.windows[1])
+        found = fitting.fitted((), start)
+        assert found.misfit < 0.05 * start.misfit
+        assert found.values[:3] == pytest.approx(still.base.values[:3], abs=0.1)
+        # What was in balance stays so.
+        assert all(window.converged for window in found.windows[0])
+
+    def test_a_fit_without_a_way_on_has_not_arrived(
+        self, still: Problem, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        assert still.base.converged
+        monkeypatch.setattr(JointFitting, "_moved", lambda *_: None)
+        halted = still.fitting.fitted((), still.start)
+        assert halted.misfit == still.start.misfit
+        assert not halted.converged
+        # Where nothing is promised, it has.
+        assert still.fitting.fitted((), still.base).converged
+
     def test_how_far_an_effect_moves_the_cloth(self, dragged: Problem) -> None:
         """As far as the clips themselves say: with the drag against without it, all else equal."""
         fit, fitting = dragged.drag, dragged.fitting

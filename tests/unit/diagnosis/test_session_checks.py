@@ -4,13 +4,20 @@ from __future__ import annotations
 
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
 import torch
 
-from toile.diagnosis.session_checks import holders_away, moved_holders, stand_still, unknown_motions
+from toile.diagnosis.joint_fit import JointFit
+from toile.diagnosis.session_checks import (
+    holders_away,
+    moved_holders,
+    stand_still,
+    stopped_short,
+    unknown_motions,
+)
 from toile.scenes.session import SessionClip
 
 WIDTH, FRAMES = 0.5, 20
@@ -41,6 +48,13 @@ def test_holders_that_move_although_nobody_moved_them_are_said() -> None:
     assert "'release'" in said
     # Where somebody is said to move them, that is as it should be.
     assert said_of("sway", *seen(swayed, still=False)) == []
+
+
+def test_fits_that_have_not_arrived_are_said() -> None:
+    there, short = (cast(JointFit, SimpleNamespace(converged=converged)) for converged in (True, False))
+    assert stopped_short(there, {"gusts": there}) == []
+    (said,) = stopped_short(short, {"gusts": there, "contact": short})
+    assert "the fit of the base model and of contact has stopped" in said
 
 
 def test_errors_of_the_motion_that_is_found_are_no_motion_of_the_holders() -> None:
