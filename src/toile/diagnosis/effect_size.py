@@ -59,6 +59,11 @@ class Displacement:
     frames: Array
     last: float
 
+    @property
+    def known(self) -> list[float]:
+        """The frames' distances; none where the effect tears the cloth apart in the simulation."""
+        return self.frames.tolist() if np.isfinite(self.frames).all() else []
+
     @staticmethod
     def none(n_frames: int) -> Displacement:
         """Of an effect that does nothing."""

@@ -437,10 +437,7 @@ def _report(
     drops = {**image_evidence, **evidence.drops}
     # What may be moving the cloth, even where that may as well be nothing.
     moving = next((name for name in evidence.chances if name in found.displacements), "")
-    moved = found.displacements[moving].frames.tolist() if moving else []
-    if not np.all(np.isfinite(moved)):
-        # A cloth that the effect tears apart in the simulation is nowhere.
-        moved = []
+    moved = found.displacements[moving].known if moving else []
     return GapReport(
         verdict,
         Where(

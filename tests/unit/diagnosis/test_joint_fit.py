@@ -242,6 +242,19 @@ class TestFits:
         assert np.array_equal(moved_by.of(softer).frames, alone.frames)
         nothing = replace(fit, coefficients=np.zeros_like(fit.coefficients))
         assert moved_by.of(nothing).last == 0.0
+        assert moved_by.of(nothing).known == [0.0] * FRAMES
+
+    def test_a_cloth_torn_apart_is_nowhere(self, dragged: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
+        """In the simulation, that is: diagnosis.json takes finite numbers alone."""
+        fitting = dragged.fitting
+
+        def blown_up(*_: object) -> WindowMotion:
+            raise FloatingPointError
+
+        monkeypatch.setattr(Shooting, "simulate", blown_up)
+        found = Displacements(fitting.clips, fitting.start, 0.3).of(dragged.drag)
+        assert found.last == np.inf
+        assert found.known == []
 
     def test_no_effect_gains_where_none_acts(self, still: Problem) -> None:
         assert still.base.misfit - still.drag.misfit < still.drag.occam
