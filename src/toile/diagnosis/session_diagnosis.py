@@ -69,7 +69,7 @@ from toile.diagnosis.stage_store import StageStore
 from toile.diagnosis.stage_times import TIMES_FILE, StageTimes
 from toile.diagnosis.stored_values import ValueStore
 from toile.diagnosis.touched_obstacles import TouchedObstacles
-from toile.diagnosis.verdict import is_clear, of_two, refuted, seen_in_part, verdict_of
+from toile.diagnosis.verdict import is_clear, of_two, refuted, seen_in_part, unsettled, verdict_of
 from toile.effects.base import Effect
 from toile.effects.catalogue import CATALOGUE, PUSHING, STAGES, STAND_INS
 from toile.effects.contact import Contact
@@ -422,6 +422,8 @@ def _report(
         verdict = of_two(verdict, second.first, second.name, acts * second.chances[second.name])
     if len(found.clips) > 1:
         verdict = refuted(verdict, evidence.chances, found.left_out.shrinks)
+    if not found.base.converged:
+        verdict = unsettled(verdict, evidence.chances, found.fits)
     pairs = zip(session.clips, found.clips, strict=True)
     frames = [(of.folder.name, clip.n_frames, clip.problem.scene.n_frames) for of, clip in pairs]
     verdict = seen_in_part(verdict, frames)

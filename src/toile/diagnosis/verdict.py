@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated
 
@@ -171,6 +171,32 @@ def refuted(verdict: Verdict, found: Mapping[str, float], shrinks: Mapping[str, 
         stage=_stage_of(candidates),
         probability=float(sum(found[name] for name in candidates)),
         reason=reason,
+        next_recording=next_recording(candidates),
+        also=None,
+    )
+
+
+def unsettled(verdict: Verdict, found: Mapping[str, float], fitted: Collection[str]) -> Verdict:
+    """The verdict where the fit of the base model has not arrived: no effect that was fitted is named.
+
+    Effects begin where the base model has ended, so what speaks for one may be what that has still to gain.
+
+    Args:
+        verdict: to be checked.
+        found: probabilities.
+        fitted: effects that are judged by fits beside the base model.
+    """
+    if verdict.effect not in fitted:
+        return verdict
+    candidates = tuple(dict.fromkeys((*verdict.candidates, NONE)))
+    return replace(
+        verdict,
+        effect=AMBIGUOUS,
+        candidates=candidates,
+        stage=_stage_of(candidates),
+        probability=float(sum(found.get(name, 0.0) for name in candidates)),
+        reason=f"{verdict.effect} has most evidence, but the fit of the base model has not arrived: what "
+        "speaks for it may be what that has still to gain.",
         next_recording=next_recording(candidates),
         also=None,
     )
