@@ -243,12 +243,13 @@ class StandIn:
 
     Attributes:
         probability: that it is what moves the cloth.
-        moves: how far it moves the cloth in the last third of the first clip [widths].
+        moves: how far it moves the cloth in the last third of the first clip [widths]; None where it tears
+            the cloth apart in the simulation.
         found: what it is like in the first clip, by name and unit, see catalogue.STAND_INS.
     """
 
     probability: Fraction
-    moves: float
+    moves: float | None
     found: dict[str, float]
 
 

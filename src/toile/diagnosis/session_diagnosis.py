@@ -350,7 +350,7 @@ def _stand_ins(
         acting = effect.with_values(effect.scales * torch.from_numpy(mean[: len(effect.scales)].copy()))
         # What the cloth's apparent size says is said of a motion that stand-ins have not seen.
         chance = float(share * expit(-motion.of_size(weights))) * evidence.chances[UNKNOWN]
-        found[name] = StandIn(chance, size, acting.described(around))
+        found[name] = StandIn(chance, size if np.isfinite(size) else None, acting.described(around))
     return found
 
 

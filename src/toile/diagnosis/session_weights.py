@@ -201,8 +201,13 @@ class MotionEvidence:
     resized: float | None = None
 
     def write(self, path: Path) -> None:
-        """Keep it, so that weights can be learnt from it once the cause is known."""
-        write_text(path, json.dumps(asdict(self), indent=1) + "\n")
+        """Keep it, so that weights can be learnt from it once the cause is known.
+
+        Infinite sizes are left out, which JSON has no number for: of an effect without a size nothing is
+        asked, as of one that is larger than any.
+        """
+        finite = {name: size for name, size in self.sizes.items() if np.isfinite(size)}
+        write_text(path, json.dumps(asdict(replace(self, sizes=finite)), indent=1) + "\n")
 
     @staticmethod
     def load(path: Path) -> MotionEvidence:

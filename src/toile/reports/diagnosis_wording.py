@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 
-from toile.diagnosis.record import AMBIGUOUS, MOVED, NONE, PIECES, UNKNOWN, GapReport, Shrink
+from toile.diagnosis.record import AMBIGUOUS, MOVED, NONE, PIECES, UNKNOWN, GapReport, Shrink, StandIn
 from toile.effects.base import Stage
 
 _SPOKEN = {
@@ -179,11 +179,16 @@ def stand_ins(report: GapReport) -> list[str]:
     found = {} if report.session is None else report.session.stand_ins
     return [
         f"What the catalogue lacks may look like {_LOOKS[name]} ({percent(one.probability)}): "
-        f"{', '.join(_measure(what, value) for what, value in one.found.items())}; it moves the cloth by "
-        f"{100 * one.moves:.1f} % of its width."
+        f"{', '.join(_measure(what, value) for what, value in one.found.items())}; {_moves(one)}."
         for name, one in found.items()
         if one.probability >= _LIKELY
     ]
+
+
+def _moves(one: StandIn) -> str:
+    if one.moves is None:
+        return "a simulated cloth is torn apart by it"
+    return f"it moves the cloth by {100 * one.moves:.1f} % of its width"
 
 
 def resized(report: GapReport) -> list[str]:

@@ -288,6 +288,16 @@ def test_evidence_is_kept_to_learn_from(tmp_path: Path) -> None:
         MotionEvidence.load(tmp_path / "motion_evidence.json")
 
 
+def test_an_infinite_size_is_left_out_and_says_the_same(tmp_path: Path) -> None:
+    torn = replace(evidence((30.0, 6.0, 5.0)), sizes={"air_drag": np.inf, "gusts": 0.02})
+    torn.write(tmp_path / "motion_evidence.json")
+    assert "Infinity" not in (tmp_path / "motion_evidence.json").read_text()
+    kept = MotionEvidence.load(tmp_path / "motion_evidence.json")
+    assert kept.sizes == {"gusts": 0.02}
+    weights = SessionWeights()
+    assert kept.logits(weights) == pytest.approx(torn.logits(weights))
+
+
 def test_what_is_strange_does_not_hang_on_the_errors_that_were_found() -> None:
     one = evidence((40.0, 6.0, 5.0), 600.0)
     # A model wrong by twice as much, explained to the same degree.

@@ -162,6 +162,10 @@ def test_what_is_unknown_is_said_to_look_like_something(report: GapReport) -> No
     assert "axis 0 -5.8 %, axis 1 +0.3 %; it moves the cloth by 6.4 % of its width." in text
     # What is hardly likely is not said.
     assert "does not change" not in text
+    torn = dataclasses.replace(looks["rest_length_drift"], moves=None)
+    session = dataclasses.replace(session, stand_ins={"rest_length_drift": torn})
+    text = words(header(dataclasses.replace(answered(report, verdict), session=session)))
+    assert "axis 1 +0.3 %; a simulated cloth is torn apart by it." in text
 
 
 def test_a_cloth_that_seems_to_become_smaller(report: GapReport) -> None:

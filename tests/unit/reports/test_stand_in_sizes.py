@@ -1,0 +1,54 @@
+"""A stand-in that tears the cloth apart in the simulation has no size, which loses no answer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+import torch
+
+from toile.diagnosis.decision import UNKNOWN
+from toile.diagnosis.effect_evidence import EffectEvidence
+from toile.diagnosis.model_errors import ModelErrors
+from toile.diagnosis.outside_causes import OutsideCauses
+from toile.diagnosis.record import DIAGNOSIS_FILE, GapReport, SessionAnswer
+from toile.diagnosis.session_diagnosis import _stand_ins
+from toile.diagnosis.session_weights import MotionEvidence, SessionWeights
+
+MakeReport = Callable[..., GapReport]
+NAME = "rest_length_drift"
+
+
+class Drift:
+    """As a stand-in is: with two numbers, described by them."""
+
+    NAME = NAME
+    scales = torch.ones(2, dtype=torch.float64)
+
+    def with_values(self, values: torch.Tensor) -> Any:
+        return SimpleNamespace(described=lambda around: {"first": float(values[0])})
+
+
+@pytest.mark.parametrize(("size", "moves"), [(0.04, 0.04), (np.inf, None)])
+def test_an_infinite_size_is_not_known(
+    size: float, moves: float | None, tmp_path: Path, made_up_diagnosis: Callable[..., GapReport]
+) -> None:
+    own = np.array([0.3, 0.1])
+    drift = EffectEvidence.of(200.0, own, 0.01 * np.eye(2), 3.0)
+    motion = MotionEvidence(ModelErrors(100.0, 120.0, 0.001), {NAME: drift}, sizes={NAME: size})
+    evidence: Any = SimpleNamespace(motion=motion, chances={UNKNOWN: 0.9})
+    model: Any = SimpleNamespace(fitting=SimpleNamespace(clips=[SimpleNamespace(around=None)]))
+    fits: Any = {NAME: SimpleNamespace(own=own)}
+    found = _stand_ins([cast(Any, Drift())], model, fits, OutsideCauses({}), evidence, SessionWeights())
+    assert found[NAME].moves == moves
+    assert found[NAME].found == {"first": pytest.approx(0.3)}
+    session = SessionAnswer(("a",), (5,), {}, (), {}, 1.0, stand_ins=found)
+    path = replace(made_up_diagnosis(), session=session).write(tmp_path / DIAGNOSIS_FILE)
+    read = GapReport.read(path).session
+    assert read is not None
+    assert read.stand_ins[NAME].moves == moves
