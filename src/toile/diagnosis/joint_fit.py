@@ -314,7 +314,8 @@ class JointFit:
         misfit: negative log-posterior without determinants: of images, ties, and priors.
         history: misfit after every pass.
         occam: half the log determinant of what the effects' coefficients have learnt.
-        converged: whether there was little left to gain: False where passes ran out, or no step gained.
+        converged: whether there was little left to gain, all windows in balance: False where passes ran out,
+            or no step gained.
         size: prior deviation of its own coefficients under which it was fitted.
         n_usual: coefficients of the base model's effects, which come before its own.
         deviation: see Effect.deviation, of the effect in question on the material of the fit.
@@ -335,6 +336,11 @@ class JointFit:
     n_usual: int = 0
     deviation: float = 1.0
     possible: bool = True
+
+    @property
+    def in_balance(self) -> bool:
+        """Whether every sub-step of every window was solved to its tolerance."""
+        return all(window.converged for window in chain.from_iterable(self.windows))
 
     @property
     def own(self) -> Array:
@@ -492,7 +498,7 @@ class JointFitting:
             history=(*begin.history, *history[1:]),
             covariance=covariance,
             occam=occam,
-            converged=converged,
+            converged=converged and place.in_balance,
             size=self.settings.inflation(effects[-1]) if effects else 1.0,
             n_usual=len(begin.coefficients) if len(effects) > len(begin.names) else begin.n_usual,
             deviation=self._deviation_of(effects[-1], place.values) if effects else 1.0,
@@ -581,9 +587,7 @@ class JointFitting:
             begin = other.started(self.usual_in(base), base.coefficients, workers)
         except FloatingPointError:
             return None
-        if not all(window.converged for window in chain.from_iterable(begin.windows)):
-            return None
-        return begin
+        return begin if begin.in_balance else None
 
     def with_usual(self, effects: Sequence[Effect]) -> JointFitting:
         """Fits to the same clips with another base model.

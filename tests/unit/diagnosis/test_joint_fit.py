@@ -201,8 +201,9 @@ class TestFits:
         found = fitting.fitted((), start)
         assert found.misfit < 0.05 * start.misfit
         assert found.values[:3] == pytest.approx(still.base.values[:3], abs=0.1)
-        # What was in balance stays so.
+        # What was in balance stays so; with the rest as it is the fit has not arrived.
         assert all(window.converged for window in found.windows[0])
+        assert not found.converged
 
     def test_a_fit_without_a_way_on_has_not_arrived(
         self, still: Problem, monkeypatch: pytest.MonkeyPatch
