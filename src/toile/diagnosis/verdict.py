@@ -164,16 +164,7 @@ def refuted(verdict: Verdict, found: Mapping[str, float], shrinks: Mapping[str, 
     candidates = tuple(dict.fromkeys((*verdict.candidates, *better)))
     reason = f"{verdict.effect} has most evidence, but predicts the clip that was left out worse than nothing"
     reason += f"; {', '.join(better)} predicts it better."
-    return replace(
-        verdict,
-        effect=AMBIGUOUS,
-        candidates=candidates,
-        stage=_stage_of(candidates),
-        probability=float(sum(found[name] for name in candidates)),
-        reason=reason,
-        next_recording=next_recording(candidates),
-        also=None,
-    )
+    return _ambiguous(verdict, candidates, found, reason)
 
 
 def unsettled(verdict: Verdict, found: Mapping[str, float], fitted: Collection[str]) -> Verdict:
@@ -189,14 +180,21 @@ def unsettled(verdict: Verdict, found: Mapping[str, float], fitted: Collection[s
     if verdict.effect not in fitted:
         return verdict
     candidates = tuple(dict.fromkeys((*verdict.candidates, NONE)))
+    reason = f"{verdict.effect} has most evidence, but the fit of the base model has not arrived: what "
+    reason += "speaks for it may be what that has still to gain."
+    return _ambiguous(verdict, candidates, found, reason)
+
+
+def _ambiguous(
+    verdict: Verdict, candidates: tuple[str, ...], found: Mapping[str, float], reason: str
+) -> Verdict:
     return replace(
         verdict,
         effect=AMBIGUOUS,
         candidates=candidates,
         stage=_stage_of(candidates),
-        probability=float(sum(found.get(name, 0.0) for name in candidates)),
-        reason=f"{verdict.effect} has most evidence, but the fit of the base model has not arrived: what "
-        "speaks for it may be what that has still to gain.",
+        probability=float(sum(found[name] for name in candidates)),
+        reason=reason,
         next_recording=next_recording(candidates),
         also=None,
     )
