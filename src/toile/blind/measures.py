@@ -145,7 +145,7 @@ def mark(
     if row["kind"] == "single":
         row["identifiable"] = _is_identifiable(report, truth[0], alias)
         row |= magnitude(report, sealed, truth[0])
-        row |= _shrink(report, verdict, truth[0])
+        row |= shrink_marks(report, verdict, truth[0])
         row["detection_limit"] = report.alias.detection_limits.get(truth[0])
     row |= localisation(report, sealed, folder)
     return row
@@ -396,11 +396,11 @@ def magnitude(report: GapReport, sealed: Sealed, truth: str) -> dict[str, Any]:
     }
 
 
-def _shrink(report: GapReport, verdict: Verdict, truth: str) -> dict[str, Any]:
+def shrink_marks(report: GapReport, verdict: Verdict, truth: str) -> dict[str, Any]:
     """Held-out error with the answer, the true effect, the runner-up and the best placebo.
 
-    The runner-up is the best wrong candidate. Where the true effect was not among those compared, only what
-    stands beside it is known.
+    The runner-up is the best wrong candidate. The true effect, fitted by the same fitter, is the oracle; where
+    it was not among those compared, only what stands beside it is known.
     """
     compared = [e for e in report.effects if e.shrink is not None]
     marks: dict[str, Any] = {}
@@ -423,6 +423,7 @@ def _shrink(report: GapReport, verdict: Verdict, truth: str) -> dict[str, Any]:
         answered = report.effect(verdict.effect)
         helped = 0.0 if answered is None or answered.shrink is None else answered.shrink.estimate
         marks["improved"] = helped > 0
+        marks["share_of_oracle"] = helped * base / saved
         if placebos:
             marks["placebo_of_true"] = max(placebos) * base / saved
     return marks

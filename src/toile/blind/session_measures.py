@@ -17,7 +17,15 @@ from scipy.stats import binomtest
 from sklearn.metrics import f1_score
 
 from toile.blind.answers import Answer
-from toile.blind.measures import CONFIDENT, kind_of, localisation, magnitude, size_in_label, truth_of
+from toile.blind.measures import (
+    CONFIDENT,
+    kind_of,
+    localisation,
+    magnitude,
+    shrink_marks,
+    size_in_label,
+    truth_of,
+)
 from toile.blind.sealing import Sealed
 from toile.diagnosis.record import AMBIGUOUS, MOVED, NONE, UNKNOWN
 from toile.effects.base import Stage
@@ -84,6 +92,7 @@ def mark_session(
         row[f"false_alarm [{method}]"] = named != NONE
     if kind == "single":
         row |= magnitude(answer.report, first, truth[0])
+        row |= shrink_marks(answer.report, verdict, truth[0])
         row["relative_size"] = _relative_size(answer, truth[0])
     row |= localisation(answer.report, _as_reported(answer, sealed), folder)
     if kind in ("single", "pair"):
@@ -168,6 +177,23 @@ def session_measures(marks: pd.DataFrame) -> tuple[SessionMeasure, ...]:
         ),
         SessionMeasure(
             "magnitude: interval coverage", "magnitude_covered", kinds("single"), proportion=False
+        ),
+        SessionMeasure(
+            "shrink of the true effect, median", "shrink_true", kinds("single"), median, proportion=False
+        ),
+        SessionMeasure(
+            "shrink of the answer, share of the oracle's",
+            "share_of_oracle",
+            kinds("single"),
+            median,
+            proportion=False,
+        ),
+        SessionMeasure(
+            "best placebo's shrink, share of the oracle's",
+            "placebo_of_true",
+            kinds("single"),
+            median,
+            proportion=False,
         ),
         SessionMeasure("vertices AUPRC", "vertices_auprc", lambda rows: rows, proportion=False),
         SessionMeasure("interval F1", "frames_f1", lambda rows: rows, proportion=False),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,19 +22,39 @@ from toile.blind.session_measures import (
     reliability,
     wilson,
 )
-from toile.diagnosis.record import Alias, EffectReport, Estimate, GapReport, Protocol, Verdict, Where
+from toile.diagnosis.record import (
+    Alias,
+    EffectReport,
+    Estimate,
+    GapReport,
+    Protocol,
+    Shrink,
+    Verdict,
+    Where,
+)
 from toile.errors import InputError
 
 FRAMES = (4, 4)
+NONE: Mapping[str, Shrink] = {}
 
 
-def answered(folder: Path, effect: str, probability: float = 0.8, **added: Any) -> Path:
+def shrunk(to: float, placebo: float = 9.0) -> Shrink:
+    """From 10 mm to so many; the best placebo's 9 mm by default."""
+    share = 1 - to / 10
+    return Shrink("position [mm]", "clip 3", 10.0, to, share, share - 0.05, share + 0.05, 1 - placebo / 10)
+
+
+def answered(
+    folder: Path, effect: str, probability: float = 0.8, shrinks: Mapping[str, Shrink] = NONE, **added: Any
+) -> Path:
     """diagnosis.json with what a session adds."""
-    drag = EffectReport("air_drag", "mechanics", 0.1, {"c": Estimate(2.0, 1.0, 3.0, "1/s")})
+    strength = {"c": Estimate(2.0, 1.0, 3.0, "1/s")}
+    drag = EffectReport("air_drag", "mechanics", 0.1, strength, shrinks.get("air_drag"))
+    gusts = EffectReport("gusts", "actuation", 0.1, {}, shrinks.get("gusts"))
     report = GapReport(
         Verdict(effect, (effect, "air_drag"), "mechanics", probability, "", ""),
         Where({"mechanics": 1.0}, (3.0, 0.0, 3.0, 0.0, 3.0, 3.0, 0.0, 0.0), None),
-        (drag,),
+        (drag, gusts) if shrinks else (drag,),
         Alias(("air_drag",), ((1.0,),), {"air_drag": 0.5}),
         Protocol(0, (0,), (), "test", "gusts"),
     )
@@ -218,3 +239,20 @@ def test_curves(tmp_path: Path) -> None:
     diagram = reliability(rows)
     assert set(diagram["clips"]) == {"1", "3"}
     assert int(diagram["scenes"].sum()) == 6
+
+
+@pytest.mark.parametrize(("answer", "share"), [("air_drag", 1.0), ("gusts", 0.5), ("ambiguous", 0.0)])
+def test_what_an_answer_saves_is_measured_by_the_true_effect(
+    tmp_path: Path, answer: str, share: float
+) -> None:
+    shrinks = {"air_drag": shrunk(6.0), "gusts": shrunk(8.0)}
+    found = marks(tmp_path, sealed("air_drag"), answer, shrinks=shrinks)
+    assert found["shrink_true"] == pytest.approx(0.4)
+    assert found["share_of_oracle"] == pytest.approx(share)
+    assert found["placebo_of_true"] == pytest.approx(0.25)
+
+
+def test_without_the_true_effect_there_is_no_share(tmp_path: Path) -> None:
+    found = marks(tmp_path, sealed("contact"), "gusts", shrinks={"gusts": shrunk(8.0)})
+    assert "share_of_oracle" not in found
+    assert found["shrink_runner_up"] == pytest.approx(0.2)
