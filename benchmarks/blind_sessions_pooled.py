@@ -113,8 +113,8 @@ def markdown(table: pd.DataFrame, every: pd.DataFrame) -> str:
             "session was answered before its label was opened, by the version of its day; versions differ, "
             "and each set has taught those after it, so this is a record and no measurement of one method. "
             "Value [95 % interval], sessions. With few sessions the calibration error comes out too large.",
-            f"## Against the aims, {NOW}\n\nReached: by the value; sure: by the whole interval. The oracle is "
-            "the true effect, fitted as any other.\n\n"
+            f"## Against the aims, {NOW}\n\nReached: by the value; sure: by the whole interval. The oracle "
+            "is the true effect, fitted as any other.\n\n"
             + against_aims(table[table["version"] == NOW]).to_markdown(index=False),
             *parts,
             "",

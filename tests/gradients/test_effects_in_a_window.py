@@ -125,7 +125,7 @@ def test_gradient_and_tangent(name: str, first: int, swaying_scene: Scene) -> No
     weights = np.random.default_rng(0).normal(size=motion.positions.shape)
     linear = motion.linearized(with_inertia=effects.change_inertia)
     gradient = unknowns.adjoint(z, linear.adjoint(weights))
-    step = 1e-3
+    step = 2e-4
     for part in ("effects", "wind"):
         numeric, tangent = [], []
         for k in range(len(z[part])):

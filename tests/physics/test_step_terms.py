@@ -3,6 +3,7 @@
 import math
 from itertools import pairwise
 
+import numpy as np
 import pytest
 import torch
 
@@ -17,12 +18,15 @@ from toile.effects.strain_stiffening import StrainStiffening
 from toile.geometry.mesh import grid_faces, vertex_normals
 from toile.physics.cloth import grid_cloth, grid_material
 from toile.physics.hybrid.simulator import HybridSimulator
+from toile.physics.implicit.assembly import Assembly
 from toile.physics.implicit.integrators import BDF2, BackwardEuler
-from toile.physics.implicit.newton import NewtonSettings
+from toile.physics.implicit.linear_solvers.banded import BandedSolver
+from toile.physics.implicit.newton import NewtonSettings, minimise_incremental_potential
 from toile.physics.implicit.simulator import ImplicitSimulator
 from toile.physics.implicit.terms import VertexPotential
 from toile.physics.material import Material
 from toile.physics.rollout import rollout
+from toile.physics.simulator import StepStatus
 from toile.physics.state import State
 from toile.physics.step_terms import StepContext
 
@@ -166,6 +170,79 @@ def test_damping_does_not_move_the_equilibrium():
     hung = move(cloth, x, 0 * x, 0.02, 400, g, [drag])[:, -1]
     again = move(cloth, hung, 0 * x, 0.02, 5, g, [InternalDamping({"in_plane": 0.05, "bending": 0.5})])
     assert (again[:, -1] - hung).abs().max() <= 1e-6
+
+
+def bent(angle):
+    """A cloth of constant angle between its edges along axis 1, (N, 3)."""
+    turn = angle * (torch.arange(GRID[1] - 1, dtype=torch.float64) - (GRID[1] - 2) / 2)
+    chord = SIZE[1] / (GRID[1] - 1) * torch.stack((turn.cos(), turn.sin()), -1)
+    curve = torch.cat((torch.zeros(1, 2, dtype=torch.float64), chord.cumsum(0)))
+    along = torch.linspace(0, SIZE[0], GRID[0], dtype=torch.float64)
+    x = torch.stack(
+        (curve[None, :, 0].expand(GRID), along[:, None].expand(GRID), 1 + curve[None, :, 1].expand(GRID)), -1
+    )
+    return x.reshape(-1, 3)
+
+
+def damped_step(x, v, h, bending, guess):
+    """Where one step ends from x and v that begins its search at a guess, all (N, 3)."""
+    assembly = Assembly.of(CLOTH)
+    material = grid_material(one(80.0), one(3e-4), one(1e-3))
+    now = StepContext(CLOTH, material, x, v, h, h, x[:0])
+    damping = InternalDamping({"bending": bending})
+    assembly.set_elements(damping.elements(CLOTH.energies.elements(), now))
+    inertia = CLOTH.masses.numpy() / h**2
+    stiffness = CLOTH.energies.coefficients(material.values[0]).numpy()
+    found = minimise_incremental_potential(
+        assembly,
+        BandedSolver(assembly.pattern, assembly.pinned),
+        guess[None].numpy(),
+        (x + h * v).numpy(),
+        np.zeros((0, 3)),
+        np.zeros(x.shape),
+        stiffness,
+        inertia,
+        1e-2,
+        CLOSE,
+        linearize=False,
+    )
+    assert found.status is StepStatus.CONVERGED
+    return torch.from_numpy(found.positions)
+
+
+def test_a_damped_bend_has_one_step_to_go_to():
+    """From the other side, too: an angle alone does not say to which side it was bent."""
+    x, other, h = bent(0.2), bent(-0.2), 0.1
+    still = torch.zeros_like(x)
+    own = damped_step(x, still, h, 1.0, x)
+    torch.testing.assert_close(damped_step(x, still, h, 1.0, other), own, rtol=0, atol=1e-9)
+    # Of the bend a step of a tenth of the relaxation time lets go of a tenth.
+    assert (own - x).abs().max() <= 0.05 * (other - x).abs().max()
+
+
+@pytest.mark.parametrize("angle", [0.01, 0.3])
+def test_a_bend_that_turns_as_a_whole_is_hardly_damped(angle):
+    """Of second order in the turn of a step; the moment itself stays what it is."""
+    x = bent(angle)
+    x = x - (CLOTH.masses[:, None] * x).sum(0) / CLOTH.masses.sum()
+    for axis in torch.eye(3, dtype=torch.float64):
+        left = []
+        for turn in (0.08, 0.04):
+            h = turn / 4.0  # 4 rad/s
+            v = torch.linalg.cross((4.0 * axis).expand_as(x), x)
+            now = StepContext(CLOTH, MATERIAL, x, v, h, h, x[:0])
+            skew = turn * torch.tensor(
+                [[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]], dtype=torch.float64
+            )
+            y = (x @ torch.linalg.matrix_exp(skew).T).requires_grad_()
+            elements = InternalDamping({"bending": 1.0}).elements(CLOTH.energies.elements(), now)
+            k = CLOTH.energies.coefficients(MATERIAL.values[0])
+            (damped,) = torch.autograd.grad(CLOTH.energies.energy(y, k, elements), y)
+            (elastic,) = torch.autograd.grad(CLOTH.energies.energy(y, k), y)
+            dashpot = elastic.norm() / h  # if it stood where it was, or held against all of the bend
+            left.append(float((damped - elastic).norm() / dashpot))
+        assert left[0] <= (0.1 if angle < 0.02 else 0.01), (axis, left)
+        assert angle < 0.02 or left[1] <= 0.3 * left[0] or left[0] < 1e-6, (axis, left)
 
 
 N_STRIP, STRIP = 13, 0.3

@@ -399,8 +399,8 @@ def magnitude(report: GapReport, sealed: Sealed, truth: str) -> dict[str, Any]:
 def shrink_marks(report: GapReport, verdict: Verdict, truth: str) -> dict[str, Any]:
     """Held-out error with the answer, the true effect, the runner-up and the best placebo.
 
-    The runner-up is the best wrong candidate. The true effect, fitted by the same fitter, is the oracle; where
-    it was not among those compared, only what stands beside it is known.
+    The runner-up is the best wrong candidate. The true effect, fitted by the same fitter, is the oracle;
+    where it was not among those compared, only what stands beside it is known.
     """
     compared = [e for e in report.effects if e.shrink is not None]
     marks: dict[str, Any] = {}

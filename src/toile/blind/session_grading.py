@@ -154,8 +154,8 @@ def markdown(grade: SessionGrade) -> str:
         (
             f"{_count(grade)} sessions, {kind}. Predictions sha256 {hashes}. Once graded, a set is "
             "development data.",
-            "## Against the aims\n\nReached: by the value; sure: by the whole interval. The oracle is the true "
-            "effect, fitted as any other.\n\n" + against_aims(grade.measures).to_markdown(index=False),
+            "## Against the aims\n\nReached: by the value; sure: by the whole interval. The oracle is the "
+            "true effect, fitted as any other.\n\n" + against_aims(grade.measures).to_markdown(index=False),
             "## Measures\n\nColumns: generator, clips. Value [95 % interval], sessions.\n\n"
             + wide.to_markdown(),
             "## Named rightly over size\n\n" + sizes.to_markdown(index=False, floatfmt=".2f"),

@@ -184,30 +184,36 @@ class _ElementPast:
             (elements.factors, self._by_factor),
         ):
             depending = {name: t for name, t in changed.items() if t.requires_grad}
-            if not depending:
-                continue
-            total = sum((t.sum() for t in depending.values()), start=torch.zeros(()))
-            by_past = torch.autograd.grad(total, (x, v), retain_graph=True, allow_unused=True)
-            after = self._after.filled(response(depending, elements, at, coefficients))
-            found += [
-                (after, self._before.filled(g), at_speed)
-                for g, at_speed in zip(by_past, (False, True), strict=True)
-                if g is not None
-            ]
+            # Elements share no vertex, so one number of each at a time.
+            for k in range(max((_numbers(t) for t in depending.values()), default=0)):
+                kth = {name: _number(t, k) for name, t in depending.items() if k < _numbers(t)}
+                total = sum((t.sum() for t in kth.values()), start=torch.zeros(()))
+                by_past = torch.autograd.grad(total, (x, v), retain_graph=True, allow_unused=True)
+                after = self._after.filled(response(kth, k, elements, at, coefficients))
+                found += [
+                    (after, self._before.filled(g), at_speed)
+                    for g, at_speed in zip(by_past, (False, True), strict=True)
+                    if g is not None
+                ]
         return found
 
     def _by_rest(
-        self, depending: Mapping[str, Tensor], elements: Elements, at: Tensor, coefficients: Tensor
+        self, depending: Mapping[str, Tensor], k: int, elements: Elements, at: Tensor, coefficients: Tensor
     ) -> Tensor:
-        """Forces (M, 3) of every element's own vertices by its own rest shape."""
+        """Forces (M, 3) of every element's own vertices by the k-th number of its own rest shape."""
         with torch.enable_grad():
             y = at.clone().requires_grad_()
             energy, shapes = y.new_zeros(()), []
             for term, own in self._with_coefficients(coefficients):
                 if term.name in depending:
-                    shapes.append(elements.rest[term.name].detach().requires_grad_())
+                    rest = elements.rest[term.name].detach()
+                    shapes.append(_number(rest, k).clone().requires_grad_())
+                    if rest.ndim > 1:
+                        rest = torch.stack((*rest.unbind(1)[:k], shapes[-1], *rest.unbind(1)[k + 1 :]), dim=1)
+                    else:
+                        rest = shapes[-1]
                     factors = elements.factors[term.name].detach()
-                    energy = energy + term.energy(y, own, factors, shapes[-1])
+                    energy = energy + term.energy(y, own, factors, rest)
             (gradient,) = torch.autograd.grad(energy, y, create_graph=True)
             # The adjoint is linear in what it is applied to; its own adjoint is the tangent.
             dummy = torch.zeros_like(gradient, requires_grad=True)
@@ -216,7 +222,7 @@ class _ElementPast:
             return -torch.autograd.grad(total, dummy)[0]
 
     def _by_factor(
-        self, depending: Mapping[str, Tensor], elements: Elements, at: Tensor, coefficients: Tensor
+        self, depending: Mapping[str, Tensor], _: int, elements: Elements, at: Tensor, coefficients: Tensor
     ) -> Tensor:
         """Forces (M, 3) of every element's own vertices by its own factor, in which they are linear."""
         with torch.enable_grad():
@@ -231,6 +237,16 @@ class _ElementPast:
     def _with_coefficients(self, coefficients: Tensor) -> list[tuple[EnergyTerm, Tensor]]:
         terms = list(self._cloth.energies)
         return list(zip(terms, coefficients.split([t.n_coefficients for t in terms]), strict=True))
+
+
+def _numbers(of_elements: Tensor) -> int:
+    """How many every element has, of (E,) or (E, R)."""
+    return 1 if of_elements.ndim == 1 else of_elements.shape[1]
+
+
+def _number(of_elements: Tensor, k: int) -> Tensor:
+    """The k-th of every element (E,), of (E,) or (E, R)."""
+    return of_elements if of_elements.ndim == 1 else of_elements[:, k]
 
 
 class _Pattern:

@@ -4,20 +4,28 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+import torch
 from torch import Tensor
 
 from toile.effects.base import ElementEffect, Parameter, Stage
 from toile.physics.elements import Elements
+from toile.physics.energies.bending import Bending
 from toile.physics.step_terms import StepContext
 
 
 class InternalDamping(ElementEffect):
     """Kelvin-Voigt: every element pulls with k (e - e₀ + τ ė), ė = (e_{n+1} - e_n) / h.
 
-    e is an edge's length, a corner's or a straight's angle. With r = τ / h this is the elastic force
+    e is an edge's length or a corner's angle. With r = τ / h this is the elastic force
     k (1 + r) (e_{n+1} - (e₀ + r e_n) / (1 + r)): a factor and a shifted rest shape, no new kind of element,
-    and exactly no force on rigid motion. A straight's angle has no sign, so a bend that passes through flat
-    within one step is damped as if it had turned back.
+    and exactly no force on rigid motion.
+
+    A straight's angle has no sign. Shifted in the same way, its potential would have as many lowest points as
+    there are sides to bend to, and a step would end in either of two. So what the dashpot remembers is the
+    bend with its side, v̂ - û of the edges before and after, turned as the straight itself will have turned by
+    the end of the step if it goes on as it moves: B ((1 + r) θ²/2 - r <m, v̂ - û>), m of the size of the old
+    bend along the new one. Its force vanishes where nothing moves, and on rigid motion but for what the
+    prediction is wrong by, which is of second order in h.
     """
 
     NAME: ClassVar[str] = "internal_damping"
@@ -39,24 +47,47 @@ class InternalDamping(ElementEffect):
             return elements
         in_plane, bending = self.values / now.time_step
         ratios = {"stretching": in_plane, "shearing": in_plane, "bending": bending}
-        shapes = {}
-        for name, ratio in ratios.items():
+        rest = {}
+        for name in ("stretching", "shearing"):
             shape = now.cloth.energies.named(name).measure(now.positions)
-            if name == "bending":
-                shape = shape * _is_bent(shape)
-            shapes[name] = _shifted(elements.rest[name], shape, ratio)
-        return elements.scaled(**{n: 1 + ratio for n, ratio in ratios.items()}).with_rest(**shapes)
+            rest[name] = _shifted(elements.rest[name], shape, in_plane)
+        angles, towards = elements.rest["bending"].split([1, 3], dim=1)
+        towards = towards + bending * _remembered(now)
+        # The factor below is on all of it; what rest angles and other moments do stays as it is.
+        rest["bending"] = torch.cat((angles, towards), dim=1) / (1 + bending)
+        return elements.scaled(**{n: 1 + ratio for n, ratio in ratios.items()}).with_rest(**rest)
 
 
 def _shifted(rest: Tensor, now: Tensor, ratio: Tensor) -> Tensor:
     return (rest + ratio * now) / (1 + ratio)
 
 
-def _is_bent(bend: Tensor) -> Tensor:
-    """0 up to _FLAT, 1 from twice that on, smooth in between: the side of a smaller bend is chance."""
-    s = (bend / _FLAT - 1).clamp(0.0, 1.0)
-    return s.square() * (3 - 2 * s)
+def _remembered(now: StepContext) -> Tensor:
+    """The bends at x_n, turned as the straights will be at the end of the step (S, 3) [rad].
+
+    Where no straight turns, <m, v̂ - û> has there the slope of θ²/2.
+    """
+    straights = now.cloth.energies.named("bending")
+    if not isinstance(straights, Bending):
+        straights.measure(now.positions)  # says what it lacks
+        raise TypeError(f"internal damping: expected straights of warp and weft, got {straights.name}")
+    before = straights.turns(now.positions)
+    after = straights.turns(now.positions + now.time_step * now.velocities)
+    old, new = (turn.square().sum(-1, keepdim=True) for turn in (before, after))
+    size, size_after = (old + _CHANCE**2).sqrt(), (new + _CHANCE**2).sqrt()
+    # Of a bend that goes through flat within the step, the new one points the other way.
+    alike = (2 * (before * after).sum(-1, keepdim=True) / (size * size_after)).clamp(-1.0, 1.0)
+    turned = alike * (3 - alike.square()) / 2 * size / size_after * after
+    # Where a straight is nearly flat nobody knows how it turns, and its moment is small.
+    known = old * new / (old * new + _FLAT**4)
+    half_sine = (size / 2).clamp(max=_FOLDED)
+    slope = torch.asin(half_sine) / (half_sine * (1 - half_sine.square()).sqrt())
+    return slope * (before + known * (turned - before))
 
 
-_FLAT = 1e-3
-"""[rad]"""
+_FLAT = 0.02
+"""Bend up to which a straight counts as flat [rad]."""
+_CHANCE = 0.1 * _FLAT
+"""Bend below which its side is chance [rad]."""
+_FOLDED = 0.95
+"""Sine of half an angle beyond which a straight counts as folded."""

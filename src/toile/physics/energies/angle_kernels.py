@@ -165,6 +165,69 @@ def add_angle(
     add_block(blocks, -1 - slots[e, 5], outer_block(u, -bb_u - ba_u, v, -bb_v - ba_v, -bb - ab))
 
 
+@wp.func
+def turned_energy(
+    x: wp.array(dtype=wp.vec3d), i: wp.int32, k: wp.int32, j: wp.int32, towards: wp.vec3d
+) -> wp.float64:
+    """-<m, v̂ - û> of the edges u from i to k and v from k to j, m = ``towards``."""
+    u = wp.normalize(x[k] - x[i])
+    v = wp.normalize(x[j] - x[k])
+    return -wp.dot(towards, v - u)
+
+
+@wp.func
+def turned_block(m: wp.vec3d, v: wp.vec3d, scale: wp.float64):
+    """-scale ∂²<m, v̂>/∂v∂v times |v|², v the unit vector."""
+    along = wp.dot(m, v)
+    return scale * (
+        wp.outer(m, v)
+        + wp.outer(v, m)
+        + along * (wp.identity(n=3, dtype=wp.float64) - wp.float64(3.0) * wp.outer(v, v))
+    )
+
+
+@wp.func
+def add_turned(
+    x: wp.array(dtype=wp.vec3d),
+    i: wp.int32,
+    k: wp.int32,
+    j: wp.int32,
+    e: wp.int32,
+    term: wp.int32,
+    towards: wp.vec3d,
+    weight: wp.float64,
+    stiffness: wp.float64,
+    order: wp.int32,
+    slots: wp.array(dtype=wp.int32, ndim=2),
+    gradients: wp.array(dtype=wp.vec3d, ndim=2),
+    blocks: wp.array(dtype=wp.mat33d),
+):
+    """Add the derivatives of ``turned_energy``; a convex Hessian has none of its second ones."""
+    u = x[k] - x[i]
+    v = x[j] - x[k]
+    ru = wp.float64(1.0) / wp.max(wp.length(u), wp.float64(1.0e-12))
+    rv = wp.float64(1.0) / wp.max(wp.length(v), wp.float64(1.0e-12))
+    u = u * ru
+    v = v * rv
+    # By u and by v; x_i is minus u's end, x_j is v's, x_k is u's end and minus v's.
+    gu = (weight * ru) * (towards - wp.dot(towards, u) * u)
+    gv = (-weight * rv) * (towards - wp.dot(towards, v) * v)
+    wp.atomic_add(gradients, term, i, -gu)
+    wp.atomic_add(gradients, term, j, gv)
+    wp.atomic_add(gradients, term, k, gu - gv)
+    if order == wp.static(GRADIENT_ONLY) or order == wp.static(CONVEX_HESSIAN):
+        return
+    scale = stiffness * weight
+    of_u = turned_block(towards, u, -scale * ru * ru)
+    of_v = turned_block(towards, v, scale * rv * rv)
+    # Symmetric blocks: whichever way round a slot has them.
+    add_block(blocks, slots[e, 0], of_u)
+    add_block(blocks, slots[e, 1], of_u + of_v)
+    add_block(blocks, slots[e, 2], of_v)
+    add_block(blocks, slots[e, 3], -of_u)
+    add_block(blocks, slots[e, 5], -of_v)
+
+
 @wp.kernel(enable_backward=False)
 def shearing_energies(
     x: wp.array(dtype=wp.vec3d),
@@ -222,9 +285,12 @@ def bending_energies(
     first: wp.int32,
     out: wp.array(dtype=wp.float64),
 ):
-    """Add Σ ½ w (θ - θ₀)²."""
+    """Add Σ w (½ (θ - θ₀)² - <m, v̂ - û>), see Bending."""
     e = wp.tid()
     energy = angle_energy(x, stencil[e, 0], stencil[e, 1], stencil[e, 2], wp.float64(-1.0), rest[e, 0])
+    towards = wp.vec3d(rest[e, 1], rest[e, 2], rest[e, 3])
+    if wp.length_sq(towards) > wp.float64(0.0):
+        energy = energy + turned_energy(x, stencil[e, 0], stencil[e, 1], stencil[e, 2], towards)
     wp.atomic_add(out, first, factors[e] * energy)
 
 
@@ -259,3 +325,20 @@ def bending_derivatives(
         gradients,
         blocks,
     )
+    towards = wp.vec3d(rest[e, 1], rest[e, 2], rest[e, 3])
+    if wp.length_sq(towards) > wp.float64(0.0):
+        add_turned(
+            x,
+            stencil[e, 0],
+            stencil[e, 1],
+            stencil[e, 2],
+            e,
+            first,
+            towards,
+            factors[e],
+            coefficients[first],
+            order,
+            slots,
+            gradients,
+            blocks,
+        )

@@ -39,6 +39,9 @@ def setting(shuffled, weighted, pinned, grid=GRID):
         elements = elements.scaled(
             **{t.name: torch.from_numpy(rng.uniform(0.2, 2.0, len(t.stencil))) for t in energies}
         )
+        bent = elements.rest["bending"].clone()
+        bent[:, 1:] = torch.from_numpy(rng.normal(0.0, 0.4, (len(bent), 3)))
+        elements = elements.with_rest(bending=bent)
         assembly.set_elements(elements)
 
     def terms(x):
@@ -153,7 +156,7 @@ def test_a_copy_in_another_process_computes_the_same():
         scaled.with_rest(
             stretching=STEP * drawn(0.9, 1.1, "stretching"),
             shearing=drawn(1.2, 1.6, "shearing"),
-            bending=drawn(0.0, 0.3, "bending"),
+            bending=torch.stack([drawn(0.0, 0.3, "bending") for _ in range(4)], dim=1),
         )
     )
     copy = pickle.loads(pickle.dumps(first))
