@@ -64,14 +64,17 @@ class PastForces:
         of = [past.products(now, positions) for past in (self._elements, self._others) if past is not None]
         self.remember = any(of)
         for by_motion in of:
-            for after, before, at_speed in by_motion:
-                change = before @ (speed if at_speed else moved)
+            for after, befores in by_motion:
+                change = sum((before @ (speed if at_speed else moved) for before, at_speed in befores), _ZERO)
                 total = total + (change if after is None else after @ change)
         return total
 
 
-Products = list[tuple[csr_array | None, csr_array, bool]]
-"""Derivatives of the forces: two matrices to multiply, the first None for one; whether by velocities."""
+Products = list[tuple[csr_array | None, list[tuple[csr_array, bool]]]]
+"""Derivatives of the forces: matrices to multiply, the first None for one, and for each of the others whether
+it is by velocities."""
+
+_ZERO = np.zeros((1, 1), np.float32)
 
 
 class _VertexPast:
@@ -120,11 +123,12 @@ class _VertexPast:
             found = torch.autograd.grad(
                 forces, leaves, self._probes, is_grads_batched=True, allow_unused=True
             )
-        return [
-            (None, self._sparse(g.detach().numpy()), at_speed)
-            for g, at_speed in zip(found, (False, True), strict=True)
-            if g is not None
-        ]
+        by_motion = self._by_motion(found)
+        return [(None, by_motion)] if by_motion else []
+
+    def _by_motion(self, found: Sequence[Tensor | None]) -> list[tuple[csr_array, bool]]:
+        pairs = zip(found, (False, True), strict=True)
+        return [(self._sparse(g.detach().numpy()), at_speed) for g, at_speed in pairs if g is not None]
 
     def _sparse(self, gradients: Array) -> csr_array:
         values = (gradients.reshape(-1) * self._inside).astype(np.float32)
@@ -189,37 +193,46 @@ class _ElementPast:
                 kth = {name: _number(t, k) for name, t in depending.items() if k < _numbers(t)}
                 total = sum((t.sum() for t in kth.values()), start=torch.zeros(()))
                 by_past = torch.autograd.grad(total, (x, v), retain_graph=True, allow_unused=True)
-                after = self._after.filled(response(kth, k, elements, at, coefficients))
-                found += [
-                    (after, self._before.filled(g), at_speed)
+                befores = [
+                    (self._before.filled(g), at_speed)
                     for g, at_speed in zip(by_past, (False, True), strict=True)
-                    if g is not None
+                    if g is not None and bool(g.any())
                 ]
+                if befores:
+                    found.append((self._after.filled(response(kth, k, elements, at, coefficients)), befores))
         return found
 
     def _by_rest(
         self, depending: Mapping[str, Tensor], k: int, elements: Elements, at: Tensor, coefficients: Tensor
     ) -> Tensor:
         """Forces (M, 3) of every element's own vertices by the k-th number of its own rest shape."""
+        known = torch.zeros_like(at)
         with torch.enable_grad():
             y = at.clone().requires_grad_()
             energy, shapes = y.new_zeros(()), []
             for term, own in self._with_coefficients(coefficients):
                 if term.name in depending:
+                    factors = elements.factors[term.name].detach()
+                    there = at[term.stencil]
+                    forces = term.forces_by_rest(there, own, factors, k)
+                    if forces is not None:
+                        known[term.stencil] = forces
+                        continue
                     rest = elements.rest[term.name].detach()
                     shapes.append(_number(rest, k).clone().requires_grad_())
                     if rest.ndim > 1:
                         rest = torch.stack((*rest.unbind(1)[:k], shapes[-1], *rest.unbind(1)[k + 1 :]), dim=1)
                     else:
                         rest = shapes[-1]
-                    factors = elements.factors[term.name].detach()
                     energy = energy + term.energy(y, own, factors, rest)
+            if not shapes:
+                return known
             (gradient,) = torch.autograd.grad(energy, y, create_graph=True)
             # The adjoint is linear in what it is applied to; its own adjoint is the tangent.
             dummy = torch.zeros_like(gradient, requires_grad=True)
             adjoints = torch.autograd.grad(gradient, shapes, dummy, create_graph=True)
             total = torch.stack([one.sum() for one in adjoints]).sum()
-            return -torch.autograd.grad(total, dummy)[0]
+            return known - torch.autograd.grad(total, dummy)[0]
 
     def _by_factor(
         self, depending: Mapping[str, Tensor], _: int, elements: Elements, at: Tensor, coefficients: Tensor

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+import torch
 from torch import Tensor
 from torch.nn.functional import normalize, pad
 
@@ -77,6 +78,23 @@ class Bending(EnergyTerm):
         """v̂ - û (E, 3): where the next edge points beyond the one before; of length 2 sin(θ/2)."""
         before, middle, after = positions[self.stencil].unbind(1)
         return normalize(after - middle, dim=-1) - normalize(middle - before, dim=-1)
+
+    def forces_by_rest(
+        self, positions: Tensor, coefficients: Tensor, factors: Tensor, k: int
+    ) -> Tensor | None:
+        """See EnergyTerm: those by m are B ∂(v̂ - û)/∂x."""
+        if k == 0:
+            return None
+        before, middle, after = positions.unbind(1)
+        of_edges = []
+        for edge in (middle - before, after - middle):
+            length = edge.norm(dim=-1, keepdim=True)
+            unit = edge / length
+            across = -unit[:, k - 1 : k] * unit
+            across[:, k - 1] += 1.0
+            of_edges.append(coefficients * factors[:, None] * across / length)
+        first, second = of_edges
+        return torch.stack((first, -first - second, second), dim=1)
 
     def kernels(self) -> TermKernels:
         """See EnergyTerm."""

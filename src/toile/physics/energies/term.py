@@ -96,6 +96,24 @@ class EnergyTerm(ABC):
         """Dimensionless departure from rest (E,): relative change of length, or change of angle [rad]."""
         return self.measure(positions) - self.rest
 
+    def forces_by_rest(
+        self, positions: Tensor, coefficients: Tensor, factors: Tensor, k: int
+    ) -> Tensor | None:
+        """Derivative of the forces on an element's own vertices by the k-th number of its rest shape.
+
+        Only where it does not depend on the rest shape and is known without differentiating; None elsewhere.
+
+        Args:
+            positions: of every element's own vertices (E, K, 3) [m].
+            coefficients: (C,).
+            factors: on every element (E,).
+            k: of the R numbers.
+
+        Returns:
+            (E, K, 3), or None.
+        """
+        return None
+
     @abstractmethod
     def kernels(self) -> TermKernels:
         """Its Warp kernels; Warp is imported here."""
