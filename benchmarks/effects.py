@@ -471,7 +471,7 @@ def main() -> None:
     text += (
         "\nStiffness and wind were found with them, from 0.6, 1.6 and 1.6 times the true Y, S and B and no "
         f"wind: the worst of the five is off by {100 * others.median():.1f} % in the median over the effects"
-        f", by {100 * others.max():.0f} % for `{others.idxmax()}`.\n"
+        f", by {100 * others.max():.1f} % for `{others.idxmax()}`.\n"
     )
     (folder / "effects.md").write_text(text, encoding="utf-8")
 

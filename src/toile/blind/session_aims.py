@@ -11,6 +11,8 @@ import pandas as pd
 from toile.blind.session_measures import with_intervals
 
 NAMED = "named rightly, effects of 3 % and more"
+_FEWEST = 5
+"""Sessions below which no interval leaves no doubt: one that is resampled from so few is too narrow."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +86,7 @@ def against_aims(measures: pd.DataFrame) -> pd.DataFrame:
     """Every aim with what was measured: measure, generator, clips, aim, measured, reached, sure.
 
     ``measured`` is the value with its interval and the number of sessions, a dash where none says anything;
-    ``sure`` is whether the whole interval is on the value's side of the aim.
+    ``sure`` is whether the whole interval, of five sessions or more, is on the value's side of the aim.
 
     Args:
         measures: see session_measures.measured_sessions; of one version where sets are put together.
@@ -100,7 +102,7 @@ def against_aims(measures: pd.DataFrame) -> pd.DataFrame:
             rows.append({**row, "measured": "–", "reached": "–", "sure": "–"})
             continue
         value, low, high = (float(found[name]) for name in ("value", "low", "high"))
-        reached, sure = aim.holds(value), aim.sure(value, low, high)
+        reached, sure = aim.holds(value), found["scenes"] >= _FEWEST and aim.sure(value, low, high)
         said = {"reached": "yes" if reached else "no", "sure": "yes" if sure else "no"}
         rows.append({**row, "measured": found["shown"], **said})
     return pd.DataFrame(rows)

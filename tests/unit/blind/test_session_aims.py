@@ -43,21 +43,24 @@ def test_an_aim_is_reached_by_the_value_and_surely_by_the_interval(
 def test_what_nothing_was_measured_of_is_said_so() -> None:
     marks = pd.DataFrame(
         {
-            "clips": ["3"] * 4,
-            "generator": ["toile"] * 4,
-            "kind": ["null"] * 3 + ["single"],
-            "of_the_image": [False] * 4,
-            "false_alarm": [False, False, True, True],
-            "asked_percent": [float("nan")] * 3 + [3.0],
-            "gap_percent": [0.0, 0.0, 0.0, 3.1],
-            "right": [False, False, False, True],
+            "clips": ["3"] * 7,
+            "generator": ["toile"] * 7,
+            "kind": ["null"] * 6 + ["single"],
+            "of_the_image": [False] * 7,
+            "false_alarm": [False, False, False, False, True, True, True],
+            "asked_percent": [float("nan")] * 6 + [3.0],
+            "gap_percent": [0.0] * 6 + [3.1],
+            "right": [False] * 6 + [True],
+            "set_size": [float("nan")] * 6 + [1.0],
         }
     )
     table = against_aims(measured_sessions(marks, resamplings=20, seed=0))
     table = table.set_index(["measure", "generator", "clips"])
     alarms = table.loc[("false alarms on nulls", "all", "3")]
-    assert (alarms["reached"], alarms["sure"]) == ("no", "yes")  # one of three, beyond any doubt above 0.02
+    assert (alarms["reached"], alarms["sure"]) == ("no", "yes")  # two of six, beyond any doubt above 0.02
     assert alarms["measured"].startswith("0.33 [")
     named = table.loc[(NAMED, "toile", "3")]
     assert (named["reached"], named["sure"]) == ("yes", "no")  # one of one
+    size = table.loc[("90 % set: mean size", "all", "3")]
+    assert (size["reached"], size["sure"]) == ("yes", "no")  # resampled from one session
     assert table.loc[(NAMED, "blender", "3")]["measured"] == "–"
