@@ -193,13 +193,15 @@ class _ElementPast:
                 kth = {name: _number(t, k) for name, t in depending.items() if k < _numbers(t)}
                 total = sum((t.sum() for t in kth.values()), start=torch.zeros(()))
                 by_past = torch.autograd.grad(total, (x, v), retain_graph=True, allow_unused=True)
-                befores = [
-                    (self._before.filled(g), at_speed)
-                    for g, at_speed in zip(by_past, (False, True), strict=True)
-                    if g is not None and bool(g.any())
+                pairs = [
+                    (g, at_speed) for g, at_speed in zip(by_past, (False, True), strict=True) if g is not None
                 ]
+                befores = [(self._before.filled(g), at_speed) for g, at_speed in pairs if bool(g.any())]
                 if befores:
                     found.append((self._after.filled(response(kth, k, elements, at, coefficients)), befores))
+                elif pairs:
+                    # Nothing in this step, as of a strain that is zero: there may be something in the next.
+                    found.append((None, []))
         return found
 
     def _by_rest(

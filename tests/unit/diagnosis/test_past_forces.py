@@ -62,3 +62,22 @@ def test_few_adjoints_give_the_whole_derivative(
     n = before.numel()
     expected = by_position.reshape(n, n).numpy() @ moved + by_speed.reshape(n, n).numpy() @ faster
     assert np.allclose(found, expected, rtol=1e-4, atol=1e-4 * max(np.abs(expected).max(), 1e-6))
+
+
+def test_what_shows_nothing_in_one_step_is_asked_again() -> None:
+    """A stiffening grows with the square of the strain: none of the past shows where nothing is strained."""
+    cloth = grid_cloth(GRID, (0.3, 0.35), 0.15, (0, GRID[1] - 1))
+    i, j = np.meshgrid(np.arange(GRID[0]), np.arange(GRID[1]), indexing="ij")
+    flat = torch.from_numpy(np.stack((0.05 * i, 0.05 * j, np.ones(GRID)), -1).reshape(-1, 3))
+    stiffening = CATALOGUE["strain_stiffening"]()
+    past = PastForces((stiffening.with_values(stiffening.scales),), cloth)
+    one = torch.ones(1, dtype=torch.float64)
+    material = grid_material(400.0 * one, 2e-3 * one, 1e-4 * one)
+    moved = np.random.default_rng(1).standard_normal((flat.numel(), 2)).astype(np.float32)
+    sizes = []
+    for strained in (1.0, 1.02):
+        x = strained * flat
+        now = StepContext(cloth, material, x, 0 * x, 0.1, 0.01, x[cloth.pinned])
+        sizes.append(float(np.abs(past.change(now, (1.02 * flat).numpy(), moved, 0 * moved)).max()))
+        assert past.remember
+    assert sizes[0] <= 1e-9 * sizes[1]
