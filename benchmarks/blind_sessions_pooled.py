@@ -13,7 +13,7 @@ from pathlib import Path
 import pandas as pd
 
 from toile.atomic_file import write_text
-from toile.blind.session_aims import against_aims
+from toile.blind.session_aims import aims_section
 from toile.blind.session_measures import measured_sessions, with_intervals
 
 RESULTS = Path("docs") / "results"
@@ -114,9 +114,7 @@ def markdown(table: pd.DataFrame, every: pd.DataFrame) -> str:
             "session was answered before its label was opened, by the version of its day; versions differ, "
             "and each set has taught those after it, so this is a record and no measurement of one method. "
             "Value [95 % interval], sessions. With few sessions the calibration error comes out too large.",
-            f"## Against the aims, {NOW}\n\nReached: by the value; sure: by the whole interval. The oracle "
-            "is the true effect, fitted as any other.\n\n"
-            + against_aims(table[table["version"] == NOW]).to_markdown(index=False),
+            aims_section(table[table["version"] == NOW], f"Against the aims, {NOW}"),
             *parts,
             "",
         )

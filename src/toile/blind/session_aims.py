@@ -106,3 +106,12 @@ def against_aims(measures: pd.DataFrame) -> pd.DataFrame:
         said = {"reached": "yes" if reached else "no", "sure": "yes" if sure else "no"}
         rows.append({**row, "measured": found["shown"], **said})
     return pd.DataFrame(rows)
+
+
+def aims_section(measures: pd.DataFrame, title: str = "Against the aims") -> str:
+    """The table of ``against_aims`` for people, with its heading."""
+    said = (
+        f"Reached: by the value; sure: by the whole interval, of {_FEWEST} sessions or more. The oracle is "
+        "the true effect, fitted as any other."
+    )
+    return f"## {title}\n\n{said}\n\n{against_aims(measures).to_markdown(index=False)}"

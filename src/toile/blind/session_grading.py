@@ -16,7 +16,7 @@ from toile.blind.grading import spend
 from toile.blind.measures import confusion
 from toile.blind.run import Predictions, read_predictions
 from toile.blind.sealing import BlindSet, SealKey, read_commitments
-from toile.blind.session_aims import against_aims
+from toile.blind.session_aims import aims_section
 from toile.blind.session_measures import (
     by_size,
     mark_session,
@@ -154,8 +154,7 @@ def markdown(grade: SessionGrade) -> str:
         (
             f"{_count(grade)} sessions, {kind}. Predictions sha256 {hashes}. Once graded, a set is "
             "development data.",
-            "## Against the aims\n\nReached: by the value; sure: by the whole interval. The oracle is the "
-            "true effect, fitted as any other.\n\n" + against_aims(grade.measures).to_markdown(index=False),
+            aims_section(grade.measures),
             "## Measures\n\nColumns: generator, clips. Value [95 % interval], sessions.\n\n"
             + wide.to_markdown(),
             "## Named rightly over size\n\n" + sizes.to_markdown(index=False, floatfmt=".2f"),
