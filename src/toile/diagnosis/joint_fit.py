@@ -64,6 +64,8 @@ class JointFitSettings:
             usually is, not how large it can be.
         few: coefficients of an effect that hardly need a prior.
         few_inflation: the factor for effects of no more.
+        inextensible: share of the cloth's side by which threads stretch under its weight, below which stiffer
+            ones look the same; none are stiffer. Steps of such threads take three times as many iterations.
         force: deviation of each mode of a free force that every hypothesis has beside; 0 for none.
         outside: of those among them that disturb the balance of torques, where there are any, see
             force_modes.
@@ -79,6 +81,7 @@ class JointFitSettings:
     prior_inflation: Positive = 3.0
     few: CountOrZero = 3
     few_inflation: Positive = 10.0
+    inextensible: Positive = 5e-5
     force: Annotated[NonNegative, Unit("m/s²")] = 0.0
     outside: Annotated[Positive, Unit("m/s²")] = 0.002
 
@@ -99,6 +102,9 @@ _SMOOTHED = 5
 
 _DRAUGHT = 0.02
 """Deviation of the wind in a closed room [m/s²]."""
+
+_ANY_WIND = 1e3
+"""Times the deviation of a wind, and nothing is known of it."""
 
 _TRUSTED = 0.5
 """Share of what is promised from which on steps may be longer again."""
@@ -389,9 +395,16 @@ class JointFitting:
         self.size = settings.size
         parameters = self.clips[0].shooting.simulator.cloth.energies.parameters
         self._names = [p.name for p in parameters]
-        self._highest = np.log([p.upper for p in parameters] / start) - _ROOM
+        upper = [self._stiffest() if p.name == "stretching" else p.upper for p in parameters]
+        self._highest = np.log(upper / start) - _ROOM
         self._values = np.minimum(values, self._highest)
         self._devices = [clip.device for clip in clips]
+
+    def _stiffest(self) -> float:
+        """Stiffness Y [N/m] of threads that hardly stretch under the cloth's weight."""
+        around = self.clips[0].around
+        weight = float(around.cloth.masses.sum()) * float(around.gravity.norm())
+        return weight / (self.settings.inextensible * min(around.cloth_size))
 
     def start_fit(self, workers: Workers = ALONE) -> JointFit:
         """The base model where fits begin, without any effect, simulated."""
@@ -663,15 +676,27 @@ class JointFitting:
         place = self._placed(layout, fit)
         return [self._systems(layout, place, c, workers, motion=False) for c in range(len(self.clips))]
 
-    def fisher(self, effects: Sequence[Effect], systems: Sequence[Sequence[WindowSystem]]) -> Array:
+    def fisher(
+        self,
+        effects: Sequence[Effect],
+        systems: Sequence[Sequence[WindowSystem]],
+        *,
+        any_wind: bool = False,
+    ) -> Array:
         """Information on the effects' coefficients; material, winds and windows' own unknowns integrated out.
 
         Args:
             effects: see ``systems``.
             systems: of every clip.
+            any_wind: whether a steady wind may be as strong as it likes, where the air is not still.
         """
         layout = self.layout(effects)
-        return self._joined(layout, systems, np.zeros(layout.n_base)).fisher(self.size)
+        evidence = self._joined(layout, systems, np.zeros(layout.n_base))
+        if any_wind:
+            evidence.deviations[layout.n_material : layout.n_base] *= [
+                1.0 if clip.still_air else _ANY_WIND for clip in self.clips for _ in range(N_WIND)
+            ]
+        return evidence.fisher(self.size)
 
     def quadratic(
         self, effects: Sequence[Effect], base: JointFit, systems: Sequence[Sequence[WindowSystem]]

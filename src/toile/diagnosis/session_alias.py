@@ -24,8 +24,9 @@ class SessionAlias:
     Attributes:
         alias: traces alike, and detection limits.
         unseen: causes from outside that leave no trace of their own however strong they are, such as a tilt
-            of gravity, which is a steady wind to clips without a plumb line: one answer with none. What acts
-            within the cloth is not said to be unseen: the stiffness that hides it was fitted without it.
+            of gravity, which is a steady wind to clips without a plumb line: one answer with none, whose base
+            model has such a wind. How strong winds usually are is no trace of a tilt. What acts within the
+            cloth is not said to be unseen: the stiffness that hides it was fitted without it.
     """
 
     alias: Alias
@@ -51,6 +52,7 @@ def session_alias(
         scale: by which misfits are too large, see session_evidence.
     """
     fisher = fitting.fisher(effects, systems) / scale
+    in_any_wind = fitting.fisher(effects, systems, any_wind=True) / scale
     pairs = zip(effects, fitting.layout(effects).places, strict=True)
     kept = [(effect, own) for effect, own in pairs if effect.NAME not in STAND_INS]
     places = [own for _, own in kept]
@@ -69,7 +71,7 @@ def session_alias(
         limit = float(np.sqrt(2 * needed / max(information, 1e-12))) * parameter.scale
         limits[effect.NAME] = limit if limit <= max(abs(parameter.low), abs(parameter.high)) else None
         strongest = max(max(abs(p.low), abs(p.high)) / p.scale for p in effect.parameters)
-        most = float(np.linalg.eigvalsh(fisher[np.ix_(own, own)])[-1])
+        most = float(np.linalg.eigvalsh(in_any_wind[np.ix_(own, own)])[-1])
         from_outside = effect.NAME in OUTSIDE and effect.NAME not in (*PUSHING, *WEIGHING)
         if from_outside and 0.5 * most * strongest**2 < needed:
             unseen.append(effect.NAME)

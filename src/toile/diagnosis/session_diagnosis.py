@@ -42,7 +42,6 @@ from toile.diagnosis.record import (
     Protocol,
     SessionAnswer,
     StandIn,
-    Verdict,
     Where,
 )
 from toile.diagnosis.results import KINDS
@@ -69,7 +68,7 @@ from toile.diagnosis.stage_store import StageStore
 from toile.diagnosis.stage_times import TIMES_FILE, StageTimes
 from toile.diagnosis.stored_values import ValueStore
 from toile.diagnosis.touched_obstacles import TouchedObstacles
-from toile.diagnosis.verdict import is_clear, of_two, refuted, seen_in_part, unsettled, verdict_of
+from toile.diagnosis.verdict import is_clear, of_class, of_two, refuted, seen_in_part, unsettled, verdict_of
 from toile.effects.base import Effect
 from toile.effects.catalogue import CATALOGUE, PUSHING, STAGES, STAND_INS
 from toile.effects.contact import Contact
@@ -407,10 +406,10 @@ def _report(
     )
     if verdict.effect == UNKNOWN:
         verdict = replace(verdict, reason=_RESIZED if found.resized else _LACKING)
-    verdict = _of_class(verdict, evidence.chances, classes, settings)
     if unseen:
         # Whatever they do is in the base model already.
         classes = [c for c in classes if not set(c) <= set(unseen)] + [(NONE, *unseen)]
+    verdict = of_class(verdict, evidence.chances, classes, settings.verdict)
     second = found.second
     if second is not None and second.name:
         # Sizes of causes from outside are known where the forces within the cloth are free.
@@ -487,32 +486,6 @@ def _report(
             unseen,
         ),
     )
-
-
-def _of_class(
-    verdict: Verdict,
-    chances: Mapping[str, float],
-    classes: Sequence[Sequence[str]],
-    settings: DiagnosisSettings,
-) -> Verdict:
-    """Where the candidates that are left are one class, its most probable member is the answer."""
-    if verdict.effect != AMBIGUOUS:
-        return verdict
-    for one in classes:
-        total = sum(chances.get(name, 0.0) for name in one)
-        first = max(one, key=lambda name: chances.get(name, 0.0))
-        others = max((p for name, p in chances.items() if name not in one), default=0.0)
-        clear = total >= settings.verdict.needed(first) and total >= settings.verdict.ahead * others
-        if clear and first not in (NONE, UNKNOWN):
-            listed = " or ".join(one)
-            return replace(
-                verdict,
-                effect=first,
-                probability=total,
-                stage=STAGES[first].value,
-                reason=f"{listed}: these clips cannot tell them apart, and one of them is missing.",
-            )
-    return verdict
 
 
 def _obstacles(found: _Found, session: Session) -> dict[str, dict[str, tuple[float, ...]]]:

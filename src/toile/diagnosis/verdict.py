@@ -145,6 +145,40 @@ def of_two(verdict: Verdict, first: str, second: str, probability: float) -> Ver
     )
 
 
+def of_class(
+    verdict: Verdict,
+    found: Mapping[str, float],
+    classes: Sequence[Sequence[str]],
+    settings: VerdictSettings = DEFAULT,
+) -> Verdict:
+    """Where the candidates that are left are one class, one of it is the answer: none, or the most probable.
+
+    Args:
+        verdict: changed where it is ambiguous.
+        found: probabilities.
+        classes: names that the clips cannot tell apart.
+        settings: see VerdictSettings.
+    """
+    if verdict.effect != AMBIGUOUS:
+        return verdict
+    for one in classes:
+        total = sum(found.get(name, 0.0) for name in one)
+        first = NONE if NONE in one else max(one, key=lambda name: found.get(name, 0.0))
+        others = max((p for name, p in found.items() if name not in one), default=0.0)
+        clear = total >= settings.needed(first) and total >= settings.ahead * others
+        if not clear or first == UNKNOWN:
+            continue
+        what = "nothing else acts" if first == NONE else "one of them is missing"
+        return replace(
+            verdict,
+            effect=first,
+            probability=total,
+            stage=STAGES[first].value if first in STAGES else first,
+            reason=f"{' or '.join(one)}: these clips cannot tell them apart, and {what}.",
+        )
+    return verdict
+
+
 def refuted(verdict: Verdict, found: Mapping[str, float], shrinks: Mapping[str, Shrink]) -> Verdict:
     """The same verdict, unless its effect predicts worse what another one predicts better: then both may be.
 

@@ -18,19 +18,27 @@ from toile.diagnosis.sensitivities import (
 from toile.effects.base import Effect, Surroundings
 from toile.effects.catalogue import CATALOGUE, STAND_INS
 from toile.effects.setting import setting
-from toile.physics.cloth import grid_cloth, grid_material
+from toile.physics.cloth import grid_cloth
+from toile.physics.grid_laws import GridLaw, angles, taut
 from toile.physics.grid_lines import GridLines
 from toile.physics.implicit.integrators import BDF2
 from toile.physics.implicit.linear_solvers.banded import BandedCholesky
 from toile.physics.implicit.newton import NewtonSettings
 from toile.physics.implicit.simulator import ImplicitSimulator
+from toile.physics.material import Material
 from toile.physics.rollout import rollout
 from toile.physics.state import State
 
 GRID = (6, 7)
 STEP = 0.01
 N_FRAMES = 9
-STIFFNESS = np.array([400.0, 1e-3, 2e-5])
+STIFFNESS = {
+    "stretching": 400.0,
+    "edge_compression": 0.5,
+    "shearing": 1e-3,
+    "diagonal_compression": 0.2,
+    "bending": 2e-5,
+}
 GRAVITY = torch.tensor([0.0, 9.81, 0.0], dtype=torch.float64)
 WIND = torch.tensor([1.0, 0.0, 4.0], dtype=torch.float64)
 
@@ -39,10 +47,14 @@ EFFECTS = {**CATALOGUE, **STAND_INS}
 THROUGH_FORCES = [n for n, e in EFFECTS.items() if issubclass(e, FORCES) and n != "contact"]
 
 
-def surroundings(crowding: float = 0.0) -> Surroundings:
+def surroundings(crowding: float = 0.0, law: GridLaw = angles) -> Surroundings:
     lines = GridLines.crowded(*GRID, crowding)
-    cloth = grid_cloth(GRID, (0.3, 0.36), 0.15, (0, (GRID[0] - 1) * GRID[1]), lines=lines)
+    cloth = grid_cloth(GRID, (0.3, 0.36), 0.15, (0, (GRID[0] - 1) * GRID[1]), law=law, lines=lines)
     return Surroundings(cloth, (0.3, 0.36), GRAVITY, 1 / STEP, N_FRAMES)
+
+
+def stiffness(around: Surroundings) -> np.ndarray:
+    return np.array([STIFFNESS[name] for name in around.cloth.energies.parameters.names])
 
 
 def start(around: Surroundings) -> torch.Tensor:
@@ -64,12 +76,11 @@ def simulate(effects, around: Surroundings) -> np.ndarray:
     given = setting(effects, around, boundary[:, :].reshape(N_FRAMES, len(pinned), 3), WIND)
     step = float(given.frame_interval)
     simulator = ImplicitSimulator(given.cloth, step, BDF2(), NewtonSettings(1e-10), given.terms)
-    k = torch.from_numpy(STIFFNESS)[:, None]
+    parameters = around.cloth.energies.parameters
+    material = Material(parameters, torch.from_numpy(stiffness(around))[None])
     state = State.start(x0, torch.zeros_like(x0), step, simulator.n_past)
     with torch.no_grad():
-        motion = rollout(
-            simulator, state, grid_material(k[0], k[1], k[2]), given.forces[None], given.boundary[None], 1
-        )
+        motion = rollout(simulator, state, material, given.forces[None], given.boundary[None], 1)
     return motion.positions[0].numpy()
 
 
@@ -100,19 +111,20 @@ def effect_tangents(
     rest = np.zeros((n, len(motion[0]), 3))
 
     def loads(step: StepForces) -> LoadSensitivities:
-        now = Instant(step, (step.index + 1) * h, h, STIFFNESS, acceleration, step.positions[pinned])
+        now = Instant(step, (step.index + 1) * h, h, stiffness(around), acceleration, step.positions[pinned])
         return LoadSensitivities(force_sensitivities(effect, now, around), np.zeros((n, len(pinned), 3)))
 
-    known = KnownMotion(simulator, motion, STIFFNESS, settings=UNLIMITED)
+    known = KnownMotion(simulator, motion, stiffness(around), settings=UNLIMITED)
     tangents = known.tangents(0, N_FRAMES - 1, 1, loads, rest, rest)
     found = np.stack([x for x, _ in tangents])
     return np.moveaxis(found, -1, 0).reshape(n, *motion[1:].shape)
 
 
+@pytest.mark.parametrize("law", [angles, taut])
 @pytest.mark.parametrize("name", THROUGH_FORCES)
-def test_tangents_are_the_derivatives_of_the_simulation(name: str) -> None:
+def test_tangents_are_the_derivatives_of_the_simulation(name: str, law: GridLaw) -> None:
     """To first order: what effects do to later velocities through themselves is of second order here."""
-    around = surroundings()
+    around = surroundings(law=law)
     effect = EFFECTS[name]()
     plain = simulate((), around)
     simulator = ImplicitSimulator(around.cloth, STEP, BDF2(), NewtonSettings(1e-10))
@@ -130,7 +142,9 @@ def test_tangents_are_the_derivatives_of_the_simulation(name: str) -> None:
 def test_the_required_force_is_the_one_that_acted() -> None:
     around = surroundings()
     motion = KnownMotion(
-        ImplicitSimulator(around.cloth, STEP, BDF2(), NewtonSettings(1e-10)), simulate((), around), STIFFNESS
+        ImplicitSimulator(around.cloth, STEP, BDF2(), NewtonSettings(1e-10)),
+        simulate((), around),
+        stiffness(around),
     )
     acted = (around.cloth.masses[:, None] * (GRAVITY + WIND)).numpy()
     acted[around.cloth.pinned.numpy()] = 0
@@ -142,7 +156,16 @@ def test_the_required_force_is_the_one_that_acted() -> None:
 @pytest.mark.parametrize("name", THROUGH_FORCES)
 def test_tangents_hold_where_an_effect_is_strong(name: str, crowding: float) -> None:
     """What damping, drag and changed stiffness do to later motion is in the tangents, not in the forces."""
-    around = surroundings(crowding)
+    _expect_tangents(name, surroundings(crowding))
+
+
+@pytest.mark.parametrize("name", ["internal_damping", "strain_stiffening", "rest_length_drift"])
+def test_tangents_hold_where_springs_hardly_push(name: str) -> None:
+    """Springs have dashpots of their own, which remember lengths."""
+    _expect_tangents(name, surroundings(law=taut))
+
+
+def _expect_tangents(name: str, around: Surroundings) -> None:
     plain_effect = EFFECTS[name]()
     numbers = 0.8 * plain_effect.scales
     effect = plain_effect.with_values(numbers)
@@ -165,7 +188,7 @@ def growth(scale: float, settings: TangentSettings) -> float:
     around = surroundings()
     x = scale * start(around)[0].numpy()
     simulator = ImplicitSimulator(around.cloth, STEP, BDF2(), NewtonSettings(1e-10))
-    motion = KnownMotion(simulator, np.stack((x, x)), STIFFNESS, settings=settings)
+    motion = KnownMotion(simulator, np.stack((x, x)), stiffness(around), settings=settings)
     motion.step(0)
     _, inertia = motion.coefficients(0)
     factor, _ = motion._factor(x, inertia)

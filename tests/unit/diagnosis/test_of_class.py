@@ -1,0 +1,47 @@
+"""What a session cannot tell apart is one answer."""
+
+from __future__ import annotations
+
+import pytest
+
+from toile.diagnosis.record import AMBIGUOUS, Verdict
+from toile.diagnosis.verdict import VerdictSettings, of_class
+
+SETTINGS = VerdictSettings(named=0.9)
+OPEN = Verdict(
+    AMBIGUOUS, ("none", "gravity_tilt"), "unknown", 0.93, "This clip cannot tell them apart.", "hang"
+)
+TILT = ("none", "gravity_tilt")
+
+
+def test_what_the_base_model_has_is_none() -> None:
+    found = of_class(OPEN, {"gravity_tilt": 0.5, "none": 0.43, "gusts": 0.07}, [TILT], SETTINGS)
+    assert found.effect == "none"
+    assert found.stage == "none"
+    assert found.probability == pytest.approx(0.93)
+    assert "none or gravity_tilt" in found.reason
+
+
+def test_the_most_probable_of_causes_that_are_one_is_named() -> None:
+    chances = {"gusts": 0.5, "air_drag": 0.45, "none": 0.05}
+    found = of_class(OPEN, chances, [("air_drag", "gusts")], SETTINGS)
+    assert (found.effect, found.stage) == ("gusts", "actuation")
+    assert found.probability == pytest.approx(0.95)
+
+
+@pytest.mark.parametrize(
+    ("chances", "classes"),
+    [
+        ({"none": 0.3, "gravity_tilt": 0.15, "gusts": 0.55}, [TILT]),
+        ({"none": 0.5, "gravity_tilt": 0.1, "gusts": 0.4}, [TILT]),
+        ({"gusts": 0.5, "air_drag": 0.35, "none": 0.15}, [("air_drag", "gusts")]),
+        ({"none": 0.5, "gravity_tilt": 0.5}, []),
+    ],
+)
+def test_what_is_not_clear_stays_ambiguous(chances: dict[str, float], classes: list[tuple[str, ...]]) -> None:
+    assert of_class(OPEN, chances, classes, SETTINGS) == OPEN
+
+
+def test_a_clear_answer_stays() -> None:
+    clear = Verdict("gusts", ("gusts",), "actuation", 0.95, "gusts explains what is missing.", "")
+    assert of_class(clear, {"gusts": 0.95, "none": 0.05}, [TILT], SETTINGS) == clear
