@@ -408,6 +408,7 @@ def test_clips_of_a_session_have_one_answer(
     # Looking for obstacles takes half a minute a clip: what is found is kept.
     assert (tmp_path / "fits" / "obstacles.npz").is_file() == searched
     assert len(report.where.frames) == 24
+    assert (report.where.acts_on is not None) == (tmp_path / "acts_on_vertices.npy").is_file()
     assert set(report.session.material) >= {"stretching", "shearing", "bending"}
     neither = sum(report.session.probabilities.get(name, 0.0) for name in ("none", "unknown"))
     assert sum(report.where.stages.values()) == pytest.approx(1 - neither)

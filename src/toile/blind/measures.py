@@ -434,7 +434,8 @@ def localisation(report: GapReport, sealed: Sealed, folder: Path) -> dict[str, A
     marks: dict[str, Any] = {}
     where = sealed.label.get("localisation", {})
     vertices, frames = where.get("vertices"), where.get("frames")
-    path = report.where.vertices
+    # Where the effect that is named acts; of others what the base model is wrong by.
+    path = report.where.acts_on or report.where.vertices
     if vertices and path is not None and (folder / path).is_file():
         # The label counts on the scene's grid, the score is on that of the diagnosis' model.
         score = _on_grid(np.load(folder / path).astype(np.float64), sealed.vertices.shape[1:3]).ravel()

@@ -15,6 +15,7 @@ from toile.diagnosis.results import StageResults
 Array = NDArray[np.float64]
 
 VERTICES_FILE = "gap_vertices.npy"
+ACTS_ON_FILE = "acts_on_vertices.npy"
 FRAMES_FILE = "gap_frames_vertices.npy"
 SCREENING_FILE = "screening.npz"
 HELD_OUT_FILE = "held_out.npz"

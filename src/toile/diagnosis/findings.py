@@ -25,11 +25,13 @@ class Finding:
     Attributes:
         log_evidence: against the base model.
         mean, deviation: of its coefficients in their own units, by name.
+        vertex: of the pinned ones, that a slip is of, from 0.
     """
 
     log_evidence: float
     mean: dict[str, float]
     deviation: dict[str, float]
+    vertex: int = 0
 
 
 def finding(effect: Effect, log_evidence: float, mean: Array, covariance: Array) -> Finding:

@@ -53,9 +53,20 @@ def with_slips(
             else:
                 still = stand_still(clip, positions)
                 fit = slip_of(clip.problem.scene, positions, effect, settings, held_still=still)
-            own = {**own, effect.NAME: finding(effect, fit.log_evidence, fit.mean, fit.covariance)}
+            one = finding(effect, fit.log_evidence, fit.mean, fit.covariance)
+            own = {**own, effect.NAME: replace(one, vertex=fit.vertex)}
         found.append(dict(own))
     return found
+
+
+def which_slips(findings: Sequence[Mapping[str, Finding]]) -> int:
+    """The pinned vertex that slips, from 0: of the clip that says so most clearly.
+
+    Args:
+        findings: of every clip, see ``with_slips``.
+    """
+    slips = [of_clip[AnchorSlip.NAME] for of_clip in findings if AnchorSlip.NAME in of_clip]
+    return max(slips, key=lambda one: one.log_evidence).vertex if slips else 0
 
 
 def slip_of(

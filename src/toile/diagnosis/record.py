@@ -165,12 +165,15 @@ class Where:
         frames: score of every frame, mean distance of base model and tracked motion over the clip's median.
         vertices: path, relative to the file, of an (H, W) array of scores (.npy), None if not written.
         regimes: score by regime, e.g. "slack".
+        acts_on: path of an (H, W) array of how strongly the effect that is named acts (.npy), 1 where most;
+            None for effects that act everywhere alike.
     """
 
     stages: dict[str, float]
     frames: tuple[float, ...]
     vertices: str | None
     regimes: dict[str, float] = field(default_factory=dict)
+    acts_on: str | None = None
 
 
 @dataclass(frozen=True)

@@ -16,15 +16,16 @@ from scipy.special import expit, softmax
 from toile.atomic_file import written_atomically
 from toile.denormals import denormals_flushed
 from toile.diagnosis.apparent_size import change_of_size
-from toile.diagnosis.arrays import FRAMES_FILE, VERTICES_FILE
+from toile.diagnosis.arrays import ACTS_ON_FILE, FRAMES_FILE, VERTICES_FILE
 from toile.diagnosis.decision import UNKNOWN, Calibration
 from toile.diagnosis.effect_evidence import EffectEvidence
+from toile.diagnosis.effect_map import effect_map
 from toile.diagnosis.effect_sensitivities import FORCES
 from toile.diagnosis.effect_size import Displacement, Displacements
 from toile.diagnosis.findings import estimates, finding
 from toile.diagnosis.fingerprint import fingerprint
 from toile.diagnosis.gap_maps import stage_chances
-from toile.diagnosis.holder_slips import with_slips
+from toile.diagnosis.holder_slips import which_slips, with_slips
 from toile.diagnosis.joint_fit import JointFit
 from toile.diagnosis.learned.decision import WEIGHTS, LearnedDecision
 from toile.diagnosis.learned.features import clip_features
@@ -69,6 +70,7 @@ from toile.diagnosis.stage_times import TIMES_FILE, StageTimes
 from toile.diagnosis.stored_values import ValueStore
 from toile.diagnosis.touched_obstacles import TouchedObstacles
 from toile.diagnosis.verdict import is_clear, of_class, of_two, refuted, seen_in_part, unsettled, verdict_of
+from toile.effects.anchor_slip import AnchorSlip
 from toile.effects.base import Effect
 from toile.effects.catalogue import CATALOGUE, PUSHING, STAGES, STAND_INS
 from toile.effects.contact import Contact
@@ -118,6 +120,7 @@ class _Found:
     second: SecondEffect | None
     stand_ins: dict[str, StandIn]
     resized: dict[str, float]
+    slipped: int
 
 
 @denormals_flushed()
@@ -315,6 +318,7 @@ def diagnose_session(
         second,
         unnamed,
         resized,
+        which_slips(of_images),
     )
     report = _report(found, effects, settings, together, calibration, session, folder)
     return replace(report, warnings=tuple(remarkable))
@@ -445,6 +449,7 @@ def _report(
             stage_chances(evidence.chances),
             tuple((mean / max(float(np.median(mean)), 1e-9)).tolist()),
             VERTICES_FILE,
+            acts_on=_write_map(found, verdict.effect, folder),
         ),
         tuple(
             EffectReport(
@@ -486,6 +491,22 @@ def _report(
             unseen,
         ),
     )
+
+
+def _write_map(found: _Found, name: str, folder: Path) -> str | None:
+    """Write where the effect that is named acts; the file's name, None where there is nothing to write."""
+    (folder / ACTS_ON_FILE).unlink(missing_ok=True)
+    if name == AnchorSlip.NAME:
+        acting: list[Effect] = [AnchorSlip(vertex=found.slipped)] * len(found.clips)
+    elif name in found.fits:
+        acting = [effects[-1] for effects in found.fits[name].effects]
+    else:
+        return None
+    places = effect_map(found.model, found.base, acting)
+    if places is None:
+        return None
+    _write(folder / ACTS_ON_FILE, places)
+    return ACTS_ON_FILE
 
 
 def _obstacles(found: _Found, session: Session) -> dict[str, dict[str, tuple[float, ...]]]:

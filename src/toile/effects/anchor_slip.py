@@ -52,6 +52,15 @@ class AnchorSlip(BoundaryEffect):
             )
         self._vertex, self._start, self._duration = vertex, start, duration
 
+    def acts_on(self, around: Surroundings, motion: Tensor) -> Tensor:
+        """See Effect: what is near the vertex that slips hangs from it, 1 there and 0 farthest off."""
+        u, v = (
+            places * side for places, side in zip(around.cloth.lines.places(), around.cloth_size, strict=True)
+        )
+        places = torch.cartesian_prod(u, v)
+        away = (places - places[around.cloth.pinned[self._vertex]]).norm(dim=-1)
+        return 1 - away / away.max()
+
     def boundary(self, boundary: Tensor, around: Surroundings) -> Tensor:
         """See AnchorEffect.
 

@@ -160,6 +160,17 @@ class Effect(ABC):
         """The same effect where ``place`` of another instance says; itself for most effects."""
         return self
 
+    def acts_on(self, around: Surroundings, motion: Tensor) -> Tensor | None:
+        """How strongly it acts on every vertex (N,), at least 0, in a unit of its own.
+
+        None for effects that act everywhere alike, as most do.
+
+        Args:
+            around: the clip.
+            motion: of the cloth (F, N, 3) [m].
+        """
+        return None
+
     def value(self, name: str) -> Tensor:
         """One parameter, ()."""
         return self.values[[parameter.name for parameter in self.parameters].index(name)]

@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from toile.effects.base import Parameter, Scope, Stage, VertexEffect
+from toile.effects.base import Parameter, Scope, Stage, Surroundings, VertexEffect
 from toile.effects.obstacles import Nowhere, Obstacle, Plane, Sphere
 from toile.limits import NonNegative, Positive, Unit
 from toile.physics.step_terms import StepContext
@@ -81,20 +81,28 @@ class Contact(VertexEffect):
         other._thickness = float(place["thickness"][0])
         return other
 
+    def acts_on(self, around: Surroundings, motion: Tensor) -> Tensor:
+        """See Effect: how deep the margin of the obstacle is entered, the mean over all frames [m]."""
+        return torch.stack([self._depth(x, x) for x in motion]).mean(0)
+
     def energy(self, positions: Tensor, now: StepContext) -> Tensor:
         """See VertexTerm."""
         stiffness, friction, normals = now.once(self, lambda: self._lagged(now))
-        depth = (self._thickness - self._obstacle.distance(positions, now.positions)).clamp(min=0.0)
+        depth = self._depth(positions, now.positions)
         moved = positions - now.positions
         along = moved - (moved * normals).sum(-1, keepdim=True) * normals
         slide = _smooth_length(along, self._sticking_speed * now.time_step)
         return 0.5 * stiffness * depth.square() + friction * slide
 
+    def _depth(self, positions: Tensor, earlier: Tensor) -> Tensor:
+        """How far every vertex is within the margin of the obstacle (N,) [m]."""
+        return (self._thickness - self._obstacle.distance(positions, earlier)).clamp(min=0.0)
+
     def _lagged(self, now: StepContext) -> tuple[Tensor, Tensor, Tensor]:
         """Stiffness k m (N,) [N/m], friction while sliding (N,) [N] and normals (N, 3), lagged."""
         stiffness, friction = self.values
         stiffness = stiffness * now.cloth.masses
-        depth = (self._thickness - self._obstacle.distance(now.positions, now.positions)).clamp(min=0.0)
+        depth = self._depth(now.positions, now.positions)
         return stiffness, friction * stiffness * depth, self._obstacle.normals(now.positions)
 
 

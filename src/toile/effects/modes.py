@@ -10,7 +10,7 @@ from typing import ClassVar, Self
 import torch
 from torch import Tensor
 
-from toile.effects.base import Effect, Parameter
+from toile.effects.base import Effect, Parameter, Surroundings
 from toile.errors import InputError
 from toile.limits import Count
 from toile.physics.cloth import Cloth
@@ -101,6 +101,11 @@ class SmoothField(Effect):
         values = self.values.new_zeros(len(other.modes))
         values[[other.modes.index(mode) for mode in self.modes]] = self.values
         return other.with_values(values)
+
+    def acts_on(self, around: Surroundings, motion: Tensor) -> Tensor:
+        """See Effect: by how much the field differs from that of most of the cloth."""
+        field = self.field(around.cloth)
+        return (field - field.median()).abs()
 
     def field(self, cloth: Cloth) -> Tensor:
         """The field at the vertices (N,)."""

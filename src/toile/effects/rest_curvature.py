@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from toile.effects.base import Parameter, Stage, VertexEffect
+from toile.effects.base import Parameter, Stage, Surroundings, VertexEffect
 from toile.errors import InputError
 from toile.limits import CountOrZero
 from toile.physics.cloth import Cloth
@@ -111,11 +111,16 @@ class RestCurvature(VertexEffect):
 
     def is_possible(self, material: Mapping[str, float]) -> bool:
         """See Effect: a natural curvature acts through B, and rolled edges of knitwear are the tightest."""
-        h = self.half_waves
-        along = self.values[:2], self.values[2:].reshape(2, h)
-        places = torch.linspace(0, 1, 4 * h + 3, dtype=torch.float64)
-        moments = along[0][:, None] + along[1] @ _cosines(h, places)
+        places = torch.linspace(0, 1, 4 * self.half_waves + 3, dtype=torch.float64)[1:-1]
+        moments = torch.cat(_along(self.values, places, places))
         return bool(moments.abs().max() <= _TIGHTEST * material["bending"])
+
+    def acts_on(self, around: Surroundings, motion: Tensor) -> Tensor | None:
+        """See Effect: the size of both moments; None where they are the same everywhere."""
+        if not self.half_waves:
+            return None
+        of_rows, of_columns = _along(self.values, *around.cloth.lines.places())
+        return torch.hypot(of_rows[:, None], of_columns[None]).reshape(-1)
 
     def energy(self, positions: Tensor, now: StepContext) -> Tensor:
         """See VertexTerm."""
@@ -138,19 +143,22 @@ def _moments(values: Tensor, cloth: Cloth) -> Tensor:
     edges_1 = cloth.rest_lengths[(h - 1) * w :].reshape(h, w - 1)
     lengths_0 = (edges_0[:-1] + edges_0[1:]).reshape(-1) / 2
     lengths_1 = (edges_1[:, :-1] + edges_1[:, 1:]).reshape(-1) / 2
-    varying = values[2:].reshape(2, -1)
-    places_0, places_1 = cloth.lines.places()
-    along_0 = values[0] + varying[0] @ _cosines(varying.shape[1], places_0)
-    along_1 = values[1] + varying[1] @ _cosines(varying.shape[1], places_1)
+    inner = (places[1:-1] for places in cloth.lines.places())
+    along_0, along_1 = _along(values, *inner)
     moments = torch.cat((along_0.repeat_interleave(w) * lengths_0, along_1.repeat(h) * lengths_1))
     # B of a straight on an uneven grid is that much of the even one's.
     return moments * cloth.energies.elements().factors["bending"]
 
 
-def _cosines(half_waves: int, places: Tensor) -> Tensor:
-    """cos(pπu) at the inner ones of n places u along an axis, (half_waves, n - 2)."""
-    u = torch.pi * places[1:-1]
-    return torch.cos(torch.arange(1, half_waves + 1, dtype=torch.float64)[:, None] * u)
+def _along(values: Tensor, places_0: Tensor, places_1: Tensor) -> tuple[Tensor, Tensor]:
+    """Moments M per width [N] along each axis, at places (n,) from 0 to 1 along it."""
+    varying = values[2:].reshape(2, -1)
+    waves = torch.pi * torch.arange(1, varying.shape[1] + 1, dtype=torch.float64)[:, None]
+    along_0, along_1 = (
+        mean + own @ torch.cos(waves * places)
+        for mean, own, places in zip(values[:2], varying, (places_0, places_1), strict=True)
+    )
+    return along_0, along_1
 
 
 def _angle_gradients(now: StepContext, weights: Tensor) -> Tensor:

@@ -48,6 +48,7 @@ class DiagnosisArrays:
         positions: tracked motion (F, N, 3) [m] on the scene's grid, camera frame.
         screening: see Screening.
         config: resolved configuration (YAML text).
+        acts_on: how strongly the effect that is named acts (h, w), 1 where most.
     """
 
     vertices: npt.NDArray[np.float64] | None = None
@@ -55,6 +56,7 @@ class DiagnosisArrays:
     positions: npt.NDArray[np.float64] | None = None
     screening: Screening | None = None
     config: str = field(default="", repr=False)
+    acts_on: npt.NDArray[np.float64] | None = None
 
     @staticmethod
     def read(folder: Path, report: GapReport) -> DiagnosisArrays:
@@ -63,7 +65,10 @@ class DiagnosisArrays:
         Raises:
             InputError: a file is there and cannot be read.
         """
-        vertices = None if report.where.vertices is None else _array(folder / report.where.vertices)
+        where = report.where
+        vertices, acts_on = (
+            None if name is None else _array(folder / name) for name in (where.vertices, where.acts_on)
+        )
         tracked = _arrays(folder / TRACKED_FILE, ("positions",))
         config = folder / "config.yaml"
         return DiagnosisArrays(
@@ -72,6 +77,7 @@ class DiagnosisArrays:
             None if tracked is None else np.asarray(tracked["positions"], np.float64),
             _screening(folder / SCREENING_FILE),
             config.read_text(encoding="utf-8") if config.is_file() else "",
+            acts_on,
         )
 
 

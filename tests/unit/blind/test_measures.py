@@ -184,6 +184,11 @@ def test_scores_on_another_grid_than_the_labels(tmp_path: Path) -> None:
         truth["localisation"]["vertices"] = list(acting)
         row = mark("x", Sealed(truth, vertices, vertices), report, tmp_path, alias=0.9)
         assert row["vertices_auprc"] == pytest.approx(score)
+    # Where the effect that is named acts is asked first.
+    named = replace(report, where=replace(report.where, acts_on="acts.npy"))
+    np.save(tmp_path / "acts.npy", np.linspace(1, 0, 7)[:, None] * np.ones(9))
+    row = mark("x", Sealed(truth, vertices, vertices), named, tmp_path, alias=0.9)
+    assert row["vertices_auprc"] == pytest.approx(1.0)
     truth["localisation"]["vertices"] = list(range(63))
     row = mark("x", Sealed(truth, vertices, vertices), report, tmp_path, alias=0.9)
     assert "vertices_auprc" not in row

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from toile.diagnosis.attachment_slip import SlipFit, SlipSettings
 from toile.diagnosis.decision import NONE, Calibration
 from toile.diagnosis.findings import Finding
-from toile.diagnosis.holder_slips import slip_of, with_slips
+from toile.diagnosis.holder_slips import slip_of, which_slips, with_slips
 from toile.diagnosis.joint_fit import JointFit
 from toile.diagnosis.model_errors import ModelErrors
 from toile.diagnosis.session_evidence import session_evidence
@@ -94,6 +94,8 @@ def test_the_refined_path_takes_the_place_of_the_tracked_one() -> None:
     assert first["anchor_slip"].log_evidence > 20
     assert first["anchor_slip"].mean["x"] == pytest.approx(-0.016, abs=0.004)
     assert second["anchor_slip"].log_evidence < 0
+    assert which_slips([first, second]) == which_slips([second, first]) == 1
+    assert which_slips([{}]) == 0
     # All else is as the images have it.
     assert first["motion_blur"] == clips[0].seen.findings["motion_blur"]
     # No candidate, no finding of its own.

@@ -25,7 +25,9 @@ from toile.errors import InputError
 def report() -> GapReport:
     return GapReport(
         verdict=Verdict("gusts", ("gusts", "air_drag"), "actuation", 0.8, "pushed in turns", ""),
-        where=Where({"actuation": 0.7, "mechanics": 0.3}, (0.5, 2.5), "vertices.npy", {"slack": 1.0}),
+        where=Where(
+            {"actuation": 0.7, "mechanics": 0.3}, (0.5, 2.5), "vertices.npy", {"slack": 1.0}, "acts.npy"
+        ),
         effects=(
             EffectReport(
                 "gusts",
@@ -52,6 +54,12 @@ def test_files_of_before_do_not_say_whether_they_are_calibrated() -> None:
     values = report().to_json()
     del values["calibration"]
     assert GapReport.from_json(values).calibration is None
+
+
+def test_files_of_before_do_not_say_where_an_effect_acts() -> None:
+    values = report().to_json()
+    del values["where"]["acts_on"]
+    assert GapReport.from_json(values).where.acts_on is None
 
 
 def test_files_of_before_have_no_warnings() -> None:

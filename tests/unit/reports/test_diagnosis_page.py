@@ -96,6 +96,13 @@ def test_opens_with_effect_probability_stage_and_shrink(report: GapReport) -> No
     assert "Record next" not in text
 
 
+def test_shows_where_an_effect_acts_that_does_not_act_everywhere(report: GapReport) -> None:
+    assert "Where it acts" not in titles(body(report))
+    text = body(report, DiagnosisArrays(acts_on=np.eye(4)))
+    assert "Where it acts" in titles(text)
+    assert "How strongly air drag acts on the cloth" in words(text)
+
+
 def test_names_both_effects_of_a_pair(report: GapReport) -> None:
     pair = answered(report, dataclasses.replace(report.verdict, also="motion_blur"))
     assert answer(pair) == "The gap is air drag and motion blur."
@@ -463,6 +470,8 @@ def test_arrays_are_read_as_far_as_they_exist(report: GapReport, tmp_path: Path)
     rng = np.random.default_rng(0)
     gap, positions = rng.random((4, 4, 3)), rng.random((4, 30, 3))
     np.save(tmp_path / "gap_vertices.npy", gap[0])
+    np.save(tmp_path / "acts.npy", gap[1])
+    report = dataclasses.replace(report, where=dataclasses.replace(report.where, acts_on="acts.npy"))
     np.save(tmp_path / "gap_frames_vertices.npy", gap)
     np.savez(tmp_path / "tracked.npz", positions=positions, used=3)
     np.savez(

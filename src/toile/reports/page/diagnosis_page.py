@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import plotly.graph_objects as go
 from markupsafe import Markup
 from PIL import Image
 
@@ -176,7 +177,8 @@ class DiagnosisPage:
         motion, scene, mean = self._motion, self.scene, self.arrays.vertices
         if scene is None or motion is None:
             field = None if mean is None else ClothField("gap", "Distance", "mm", "", 1e3 * mean[None])
-            return {"viewer": None, "gap": field, "gap_map": None if field is None else mean_map(field, None)}
+            chart = None if field is None else mean_map(field, None)
+            return {"viewer": None, "gap": field, "gap_map": chart, "acts_map": self._acts_map(None)}
         gap = gap_field(self.arrays, scene.grid, self.report.protocol.frames_held_out)
         if gap is not None and len(gap.values) != len(motion):
             gap = None
@@ -191,7 +193,14 @@ class DiagnosisPage:
             upright=upright,
         )
         chart = None if gap is None else field_maps(gap, upright, pinned_vertices(scene))
-        return {"viewer": shown, "gap": gap, "gap_map": chart}
+        return {"viewer": shown, "gap": gap, "gap_map": chart, "acts_map": self._acts_map(upright)}
+
+    def _acts_map(self, upright: Upright | None) -> go.Figure | None:
+        """How strongly the effect that is named acts, where it does not act everywhere alike."""
+        acts_on = self.arrays.acts_on
+        if acts_on is None:
+            return None
+        return mean_map(ClothField("acts", "Strength", "of its most", "", acts_on[None]), upright)
 
     def _limits(self) -> list[tuple[str, str, float | None, str]]:
         """Effect, its parameter, the smallest value that would show (None: none within its bounds), unit."""
