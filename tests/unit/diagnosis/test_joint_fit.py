@@ -338,6 +338,17 @@ class TestFits:
         assert bought < 0.3 * (dragged.base.misfit - dragged.drag.misfit)
 
 
+def test_threads_that_gravity_does_not_stretch_get_no_stiffer(still: Problem) -> None:
+    clips, start = still.fitting.clips, still.fitting.start
+    cloth = clips[0].around.cloth
+    stiffest = float(cloth.masses.sum()) * 9.81 / (1e-3 * min(clips[0].around.cloth_size))
+    settings = JointFitSettings(inextensible=1e-3)
+    begun = JointFitting(clips, start, np.array([30.0, 0.0, 0.0]), settings).start_fit()
+    assert start[0] * np.exp(begun.values[0]) == pytest.approx(stiffest, rel=1e-9)
+    soft = JointFitting(clips, start, np.zeros(3), settings).start_fit()
+    assert start[0] * np.exp(soft.values[0]) == pytest.approx(min(start[0], stiffest), rel=1e-9)
+
+
 def test_ratios_of_the_law_stay_within_their_bounds() -> None:
     """Beyond 1 a ratio counts as 1: images say nothing there, and the prior would pull it over a cliff."""
     whole = np.array([STIFFNESS[0], 1.0, STIFFNESS[1], 1.0, STIFFNESS[2]])
