@@ -65,7 +65,7 @@ class JointFitSettings:
         few: coefficients of an effect that hardly need a prior.
         few_inflation: the factor for effects of no more.
         inextensible: share of the cloth's side by which threads stretch under its weight, below which stiffer
-            ones look the same; none are stiffer. Steps of such threads take three times as many iterations.
+            ones look the same; none get stiffer than that, or than where fits begin.
         force: deviation of each mode of a free force that every hypothesis has beside; 0 for none.
         outside: of those among them that disturb the balance of torques, where there are any, see
             force_modes.
@@ -395,16 +395,20 @@ class JointFitting:
         self.size = settings.size
         parameters = self.clips[0].shooting.simulator.cloth.energies.parameters
         self._names = [p.name for p in parameters]
-        upper = [self._stiffest() if p.name == "stretching" else p.upper for p in parameters]
+        # Whoever begins with stiffer threads means it.
+        upper = [
+            max(self._stiffest(), own) if p.name == "stretching" else p.upper
+            for p, own in zip(parameters, start, strict=True)
+        ]
         self._highest = np.log(upper / start) - _ROOM
         self._values = np.minimum(values, self._highest)
         self._devices = [clip.device for clip in clips]
 
     def _stiffest(self) -> float:
-        """Stiffness Y [N/m] of threads that hardly stretch under the cloth's weight."""
+        """Stiffness Y [N/m] of threads that hardly stretch under the cloth's weight; inf without gravity."""
         around = self.clips[0].around
         weight = float(around.cloth.masses.sum()) * float(around.gravity.norm())
-        return weight / (self.settings.inextensible * min(around.cloth_size))
+        return weight / (self.settings.inextensible * min(around.cloth_size)) if weight > 0 else np.inf
 
     def start_fit(self, workers: Workers = ALONE) -> JointFit:
         """The base model where fits begin, without any effect, simulated."""
@@ -676,27 +680,27 @@ class JointFitting:
         place = self._placed(layout, fit)
         return [self._systems(layout, place, c, workers, motion=False) for c in range(len(self.clips))]
 
-    def fisher(
-        self,
-        effects: Sequence[Effect],
-        systems: Sequence[Sequence[WindowSystem]],
-        *,
-        any_wind: bool = False,
-    ) -> Array:
+    def fisher(self, effects: Sequence[Effect], systems: Sequence[Sequence[WindowSystem]]) -> Array:
         """Information on the effects' coefficients; material, winds and windows' own unknowns integrated out.
 
         Args:
             effects: see ``systems``.
             systems: of every clip.
-            any_wind: whether a steady wind may be as strong as it likes, where the air is not still.
         """
         layout = self.layout(effects)
-        evidence = self._joined(layout, systems, np.zeros(layout.n_base))
-        if any_wind:
-            evidence.deviations[layout.n_material : layout.n_base] *= [
-                1.0 if clip.still_air else _ANY_WIND for clip in self.clips for _ in range(N_WIND)
-            ]
-        return evidence.fisher(self.size)
+        return self._joined(layout, systems, np.zeros(layout.n_base)).fisher(self.size)
+
+    def in_any_wind(self, evidence: Evidence) -> Evidence:
+        """The same where a steady wind may be as strong as it likes, but in clips whose air is still.
+
+        Args:
+            evidence: of these clips.
+        """
+        winds = [1.0 if clip.still_air else _ANY_WIND for clip in self.clips for _ in range(N_WIND)]
+        # What the windows' own unknowns leave is the same, and kept.
+        other = copy.copy(evidence)
+        other.deviations = evidence.deviations * np.concatenate((np.ones(len(self.start)), winds))
+        return other
 
     def quadratic(
         self, effects: Sequence[Effect], base: JointFit, systems: Sequence[Sequence[WindowSystem]]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from toile.diagnosis.continuity import WindowSystem
+from toile.diagnosis.evidence import Evidence
 from toile.diagnosis.joint_fit import JointFitting
 from toile.diagnosis.record import Alias
 from toile.effects.base import Effect
@@ -36,7 +36,7 @@ class SessionAlias:
 def session_alias(
     fitting: JointFitting,
     effects: Sequence[Effect],
-    systems: Sequence[Sequence[WindowSystem]],
+    quadratic: Evidence,
     needed: float,
     scale: float,
 ) -> SessionAlias:
@@ -47,12 +47,12 @@ def session_alias(
     Args:
         fitting: the problem.
         effects: that move the cloth; stand-ins, which take up nearly anything, are left out.
-        systems: of every clip around the base model, see JointFitting.systems.
+        quadratic: of these effects around the base model, see JointFitting.quadratic.
         needed: evidence from which on an effect is seen [nats].
         scale: by which misfits are too large, see session_evidence.
     """
-    fisher = fitting.fisher(effects, systems) / scale
-    in_any_wind = fitting.fisher(effects, systems, any_wind=True) / scale
+    fisher = quadratic.fisher(fitting.size) / scale
+    in_any_wind = fitting.in_any_wind(quadratic).fisher(fitting.size) / scale
     pairs = zip(effects, fitting.layout(effects).places, strict=True)
     kept = [(effect, own) for effect, own in pairs if effect.NAME not in STAND_INS]
     places = [own for _, own in kept]

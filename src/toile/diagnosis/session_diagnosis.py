@@ -261,7 +261,7 @@ def diagnose_session(
     )
     evidence.motion.write(folder / EVIDENCE_FILE)
     scale = evidence.scale
-    alias = session_alias(model.fitting, considered, systems, weights.threshold, scale)
+    alias = session_alias(model.fitting, considered, quadratic, weights.threshold, scale)
     simulated = {effect.NAME: fits[effect.NAME] for effect in chosen}
     second: SecondEffect | None = None
     if sum(evidence.chances.get(effect.NAME, 0.0) for effect in moving) >= settings.verdict.named:

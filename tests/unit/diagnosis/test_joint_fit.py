@@ -341,12 +341,16 @@ class TestFits:
 def test_threads_that_gravity_does_not_stretch_get_no_stiffer(still: Problem) -> None:
     clips, start = still.fitting.clips, still.fitting.start
     cloth = clips[0].around.cloth
-    stiffest = float(cloth.masses.sum()) * 9.81 / (1e-3 * min(clips[0].around.cloth_size))
-    settings = JointFitSettings(inextensible=1e-3)
-    begun = JointFitting(clips, start, np.array([30.0, 0.0, 0.0]), settings).start_fit()
-    assert start[0] * np.exp(begun.values[0]) == pytest.approx(stiffest, rel=1e-9)
-    soft = JointFitting(clips, start, np.zeros(3), settings).start_fit()
-    assert start[0] * np.exp(soft.values[0]) == pytest.approx(min(start[0], stiffest), rel=1e-9)
+    share = float(cloth.masses.sum()) * 9.81 / (min(clips[0].around.cloth_size) * 2 * start[0])
+    settings = JointFitSettings(inextensible=share)
+    stiffer, softer = (
+        JointFitting(clips, start, np.array([ratio, 0.0, 0.0]), settings).start_fit() for ratio in (9.0, -0.5)
+    )
+    assert stiffer.values[0] == pytest.approx(np.log(2.0))
+    assert softer.values[0] == -0.5
+    # A start that is stiffer still is no mistake.
+    tight = JointFitting(clips, start, np.array([9.0, 0.0, 0.0]), JointFitSettings(inextensible=10 * share))
+    assert tight.start_fit().values[0] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_ratios_of_the_law_stay_within_their_bounds() -> None:
@@ -805,7 +809,8 @@ class TestAliases:
     def test_tilted_gravity_is_a_wind_and_leaves_no_trace(self, still: Problem) -> None:
         effects = [CATALOGUE[name]() for name in ("air_drag", "gravity_tilt", "frame_rate")]
         systems = still.fitting.systems(effects, still.base)
-        found = session_alias(still.fitting, effects, systems, 10.0, 1.0)
+        quadratic = still.fitting.quadratic(effects, still.base, systems)
+        found = session_alias(still.fitting, effects, quadratic, 10.0, 1.0)
         alias = found.alias
         limits = alias.detection_limits
         assert np.allclose(np.diag(alias.matrix), 1)
@@ -820,8 +825,8 @@ class TestAliases:
         effects = [CATALOGUE["gravity_tilt"]()]
         quiet = copy.copy(still.fitting)
         quiet.clips = [replace(clip, still_air=True) for clip in quiet.clips]
-        systems = quiet.systems(effects, still.base)
-        assert session_alias(quiet, effects, systems, 10.0, 1.0).unseen == ()
+        quadratic = quiet.quadratic(effects, still.base, quiet.systems(effects, still.base))
+        assert session_alias(quiet, effects, quadratic, 10.0, 1.0).unseen == ()
 
 
 class TestSoftened:
