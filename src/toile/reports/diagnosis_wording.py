@@ -6,6 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 
 from toile.diagnosis.record import AMBIGUOUS, MOVED, NONE, PIECES, UNKNOWN, GapReport, Shrink, StandIn
+from toile.effects.anchor_slip import AnchorSlip
 from toile.effects.base import Stage
 
 _SPOKEN = {
@@ -200,6 +201,14 @@ def resized(report: GapReport) -> list[str]:
         "zooms or moves, or somebody moved what holds it."
         for clip, share in found.items()
     ]
+
+
+def where_it_acts(report: GapReport) -> str:
+    """What the map of the effect that is named shows."""
+    effect = report.verdict.effect
+    if effect == AnchorSlip.NAME:
+        return "How near the cloth is to the holder that slips."
+    return f"How strongly {spoken(effect)} acts on the cloth, by its own fit."
 
 
 def unseen(report: GapReport) -> str:

@@ -161,7 +161,7 @@ def test_tangents_hold_where_an_effect_is_strong(name: str, crowding: float) -> 
 
 @pytest.mark.parametrize("name", ["internal_damping", "strain_stiffening", "rest_length_drift"])
 def test_tangents_hold_where_springs_hardly_push(name: str) -> None:
-    """Springs have dashpots of their own, which remember lengths."""
+    """Where threads pull and hardly push, what they remember of the past hangs on which of both they do."""
     _expect_tangents(name, surroundings(law=taut))
 
 

@@ -101,6 +101,10 @@ def test_shows_where_an_effect_acts_that_does_not_act_everywhere(report: GapRepo
     text = body(report, DiagnosisArrays(acts_on=np.eye(4)))
     assert "Where it acts" in titles(text)
     assert "How strongly air drag acts on the cloth" in words(text)
+    slip = answered(report, dataclasses.replace(report.verdict, effect="anchor_slip"))
+    assert "How near the cloth is to the holder that slips" in words(
+        body(slip, DiagnosisArrays(acts_on=np.eye(4)))
+    )
 
 
 def test_names_both_effects_of_a_pair(report: GapReport) -> None:
