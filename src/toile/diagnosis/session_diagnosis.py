@@ -72,10 +72,8 @@ from toile.diagnosis.touched_obstacles import TouchedObstacles
 from toile.diagnosis.verdict import is_clear, of_class, of_two, refuted, seen_in_part, unsettled, verdict_of
 from toile.effects.anchor_slip import AnchorSlip
 from toile.effects.base import Effect
-from toile.effects.catalogue import CATALOGUE, PUSHING, STAGES, STAND_INS
+from toile.effects.catalogue import CATALOGUE, PUSHING, STAGES, STAND_INS, StandInEffect
 from toile.effects.contact import Contact
-from toile.effects.rest_length_drift import RestLengthDrift
-from toile.effects.steady_forces import SteadyForces
 from toile.generation.clip_plan import MOTIONS
 from toile.scenes.session import Session
 from toile.workers import ALONE, Workers
@@ -332,7 +330,7 @@ def _said(warnings: list[str]) -> list[str]:
 
 
 def _stand_ins(
-    effects: Sequence[SteadyForces | RestLengthDrift],
+    effects: Sequence[StandInEffect],
     model: SessionModel,
     fits: Mapping[str, JointFit],
     outside: OutsideCauses,

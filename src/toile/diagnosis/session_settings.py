@@ -19,7 +19,7 @@ from toile.physics.grid_lines import Crowding
 Usual = Annotated[tuple[Literal["internal_damping"], ...], Field(max_length=1)]
 """Effects that a base model may have."""
 
-StandIns = tuple[Literal["steady_forces", "rest_length_drift"], ...]
+StandIns = tuple[Literal["steady_forces", "rest_length_drift", "pressure"], ...]
 """Names of effects.catalogue.STAND_INS."""
 
 
@@ -145,7 +145,7 @@ class SessionSettings:
     error_rounds: CountOrZero = 3
     slip: SlipSettings = field(default_factory=RefinedSlipSettings)
     touched: TouchedSettings | None = field(default_factory=TouchedSettings)
-    stand_ins: StandIns = ("steady_forces", "rest_length_drift")
+    stand_ins: StandIns = ("steady_forces", "rest_length_drift", "pressure")
     usual: Usual = ("internal_damping",)
     fit: JointFitSettings = field(default_factory=JointFitSettings)
     freed: FreedSettings = field(default_factory=FreedSettings)

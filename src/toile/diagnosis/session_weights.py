@@ -24,6 +24,8 @@ from toile.diagnosis.decision import NONE, UNKNOWN
 from toile.diagnosis.effect_evidence import EffectEvidence
 from toile.diagnosis.model_errors import ModelErrors
 from toile.effects.catalogue import PUSHING, STAND_INS, WEIGHING
+from toile.effects.pressure import Pressure
+from toile.effects.rest_length_drift import RestLengthDrift
 from toile.effects.steady_forces import SteadyForces
 from toile.errors import InputError
 from toile.json_file import read_json_object
@@ -44,8 +46,12 @@ _LARGEST = 0.15
 _CAUSES = 10.0
 """Effects that move a cloth, as probable as none together: what a single one is up against."""
 
-_SHARING = (SteadyForces.NAME,)
+_SHARING = (SteadyForces.NAME, Pressure.NAME)
 """Stand-ins that, beside free forces, speak for unknown only as rivals of causes that show there."""
+
+_FLEXIBLE = (SteadyForces.NAME, RestLengthDrift.NAME)
+"""Stand-ins that take up some of what a law or another cause leaves; a pressure has fewer coefficients than
+gusts have."""
 
 _LAPSE = 0.02
 """Share of cases that teach nothing, because what acts is too small to be seen or a fit has failed."""
@@ -79,11 +85,11 @@ class SessionWeights:
         rivals: evidence under the law by which the odds of one cause from outside against another grow e-fold
             [nats].
         farthest: e-folds by which the law tells them apart at most: a fit may have failed.
-        stand_in: evidence that a stand-in needs beyond what an effect does, for it is so flexible that it
-            takes up some of what a law or another cause leaves [nats].
+        stand_in: evidence that a flexible stand-in needs beyond what an effect does, for it takes up some of
+            what a law or another cause leaves [nats].
         searched: evidence that contact needs beyond, where its obstacle is the best of many that were tried:
             it takes up some of what the law is wrong by [nats].
-        outside_stand_in: that of a stand-in where the forces within the cloth are free [nats].
+        outside_stand_in: that of a flexible one where the forces within the cloth are free [nats].
         outside_spread: deviation of the strength of a cause from outside, as a share of it, beside what its
             fit says and before intervals are widened (DiagnosisSettings.widened).
         strange: squared errors that the best hypothesis leaves, over those of USUAL_SHARE, where something
@@ -375,7 +381,7 @@ class MotionEvidence:
                 odds.pop(name, None)
                 freed.pop(name, None)
         for name in freed:
-            if name in STAND_INS:
+            if name in _FLEXIBLE:
                 freed[name] -= weights.outside_stand_in / weights.outside_temperature
                 if name not in _SHARING:
                     freed[name] -= sum(self._stands_against(name, one, freed[one], weights) for one in both)
@@ -414,8 +420,8 @@ class MotionEvidence:
         return float(np.logaddexp(0.0, freed) * expit(law))
 
     def _of_law(self, name: str, weights: SessionWeights) -> float:
-        """Log evidence under the law, less what a stand-in or a searched obstacle needs beyond."""
-        beyond = weights.stand_in if name in STAND_INS else weights.searched if name in PUSHING else 0.0
+        """Log evidence under the law, less what a flexible stand-in or a searched obstacle needs beyond."""
+        beyond = weights.stand_in if name in _FLEXIBLE else weights.searched if name in PUSHING else 0.0
         return self.nats(name) - beyond
 
     def _apart(self, freed: Mapping[str, float], weights: SessionWeights) -> dict[str, float]:

@@ -21,6 +21,7 @@ from toile.effects.mask_bias import MaskBias
 from toile.effects.motion_blur import MotionBlur
 from toile.effects.nonuniform_density import NonuniformDensity
 from toile.effects.nonuniform_stiffness import NonuniformStiffness
+from toile.effects.pressure import Pressure
 from toile.effects.rest_curvature import RestCurvature
 from toile.effects.rest_length_drift import RestLengthDrift
 from toile.effects.shading import Shading
@@ -67,8 +68,10 @@ WEIGHING = ("nonuniform_density",)
 PUSHING = ("contact",)
 """Those of them whose push, in a place and for a moment, may hardly show in that balance."""
 
-STAND_INS: Mapping[str, type[SteadyForces | RestLengthDrift]] = MappingProxyType(
-    {effect.NAME: effect for effect in (SteadyForces, RestLengthDrift)}
+StandInEffect = SteadyForces | RestLengthDrift | Pressure
+
+STAND_INS: Mapping[str, type[StandInEffect]] = MappingProxyType(
+    {effect.NAME: effect for effect in (SteadyForces, RestLengthDrift, Pressure)}
 )
 """What stands in for causes that the catalogue lacks: it names none, so what speaks for it speaks for
 ``unknown``. Not in the catalogue."""

@@ -171,6 +171,7 @@ def obstacles(report: GapReport) -> list[str]:
 
 _LOOKS = {
     "steady_forces": "a field of forces that does not change",
+    "pressure": "a pressure on one side, which follows the cloth's normals",
     "rest_length_drift": "sides that become longer or shorter while they are filmed",
 }
 

@@ -226,6 +226,23 @@ def test_a_stand_in_must_explain_more_than_an_effect() -> None:
     assert unnamed(20.0, 4.0, 6.0)[NONE] > 0.9
 
 
+def test_a_pressure_stands_against_gusts_with_what_the_law_says_of_both() -> None:
+    """It has fewer coefficients than gusts have, and needs no more than they do."""
+
+    def pushed(pressure: float, gusts: float) -> dict[str, float]:
+        of = {nats: evidence((nats, 2.0, 2.0)).effects["air_drag"] for nats in (pressure, gusts, 200.0)}
+        law = {"gusts": of[gusts], "pressure": of[pressure]}
+        outside = {"gusts": of[200.0], "pressure": of[200.0]}
+        return chances(
+            MotionEvidence(evidence((1.0, 1.0, 1.0)).base, law, outside=outside), SessionWeights(rivals=4.0)
+        )
+
+    assert pushed(120.0, 100.0)[UNKNOWN] > 0.9
+    assert pushed(100.0, 120.0)["gusts"] > 0.9
+    level = pushed(110.0, 110.0)
+    assert level[UNKNOWN] == pytest.approx(level["gusts"])
+
+
 def test_a_stand_in_that_hardly_moves_the_cloth_says_nothing() -> None:
     """Rest lengths that drift by a hair explain what a law is wrong by, and are no rival of effects."""
     one = evidence((30.0, 2.0, 2.0))

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 import torch
 
 from toile.effects.base import Surroundings
+from toile.effects.pressure import Pressure
 from toile.effects.rest_length_drift import RestLengthDrift
 from toile.effects.steady_forces import SteadyForces
 from toile.physics.cloth import grid_cloth, grid_material
@@ -14,6 +17,7 @@ from toile.physics.implicit.newton import NewtonSettings
 from toile.physics.implicit.simulator import ImplicitSimulator
 from toile.physics.rollout import rollout
 from toile.physics.state import State
+from toile.physics.step_terms import StepContext
 
 GRID, SIZE, STEP, STEPS = (7, 6), (0.3, 0.25), 0.02, 40
 GRAVITY = torch.tensor([0.0, 9.81, 0.0], dtype=torch.float64)
@@ -85,3 +89,54 @@ def test_steady_forces_leave_the_mean_to_the_wind() -> None:
     torch.testing.assert_close(mean, torch.zeros(3, dtype=torch.float64), atol=1e-9, rtol=0)
     size = effect.described(AROUND)["root mean square [m/s²]"]
     assert size == pytest.approx(float(field[0].square().sum(-1).mean().sqrt()))
+
+
+class TestPressure:
+    """Alike all over the cloth, along its normals, however fast gusts may be."""
+
+    DURATION = STEPS * STEP
+
+    def effect(self) -> Pressure:
+        return Pressure({"wave_0": 0.8, "wave_3": -0.5}).for_clip(self.DURATION)
+
+    def test_it_pushes_along_the_normals_as_hard_as_the_clock_says(self) -> None:
+        sheet = start()[0]
+        sheet[:, 2] = 0.05 * torch.sin(20 * sheet[:, 1])  # waves
+        at = STEPS // 3 * STEP
+        now = StepContext(
+            CLOTH,
+            grid_material(*(torch.ones(1).double() for _ in range(3))),
+            sheet,
+            0 * sheet,
+            at,
+            STEP,
+            sheet[CLOTH.pinned],
+        )
+        ends = (
+            sheet + 0.01 * torch.randn(sheet.shape, generator=torch.Generator().manual_seed(1)).double()
+        ).requires_grad_()
+        effect = self.effect()
+        force = -torch.autograd.grad(effect.energy(ends, now).sum(), ends)[0]
+        size = 0.8 - 0.5 * math.cos(3 * math.pi * at / self.DURATION)
+        torch.testing.assert_close(force, size * CLOTH.masses[:, None] * now.normals)
+        units = effect.unit_forces(ends.detach(), now)
+        torch.testing.assert_close(torch.einsum("k,kni->ni", effect.values, units), force)
+
+    def test_longer_clips_have_more_waves_and_the_same_amplitudes(self) -> None:
+        effect = self.effect()
+        longer = effect.for_clip(3 * self.DURATION)
+        assert len(effect.parameters) == 1 + math.ceil(6 * self.DURATION)
+        assert len(longer.parameters) == 1 + math.ceil(6 * 3 * self.DURATION)
+        assert float(longer.value("wave_0")) == 0.8
+        assert float(longer.value("wave_3")) == -0.5
+        assert int(longer.values.count_nonzero()) == 2
+
+    def test_it_is_described_as_a_pressure(self) -> None:
+        found = self.effect().described(AROUND)
+        area_density = float(CLOTH.masses.sum()) / (SIZE[0] * SIZE[1])
+        # Three half waves do not end at their mean over the frames of a clip, which hold both ends.
+        waves = torch.cos(3 * torch.pi * AROUND.frame_times() / self.DURATION)
+        assert found["mean [Pa]"] == pytest.approx(area_density * float((0.8 - 0.5 * waves).mean()))
+        assert found["deviation in time [Pa]"] == pytest.approx(
+            area_density * 0.5 * float(waves.std(correction=0))
+        )
