@@ -24,6 +24,7 @@ from toile.diagnosis.decision import NONE, UNKNOWN
 from toile.diagnosis.effect_evidence import EffectEvidence
 from toile.diagnosis.model_errors import ModelErrors
 from toile.effects.catalogue import PUSHING, STAND_INS, WEIGHING
+from toile.effects.gusts import Gusts
 from toile.effects.pressure import Pressure
 from toile.effects.rest_length_drift import RestLengthDrift
 from toile.effects.steady_forces import SteadyForces
@@ -375,6 +376,9 @@ class MotionEvidence:
             name: (_nats(evidence, 1.0) - weights.outside_threshold) / weights.outside_temperature
             for name, evidence in self.outside.items()
         }
+        if Pressure.NAME in freed and Gusts.NAME in freed:
+            # Both give the balance of torques any history in time: which of them it is the law alone says.
+            freed[Pressure.NAME] = min(freed[Pressure.NAME], freed[Gusts.NAME])
         for name in STAND_INS:
             if self.sizes.get(name, np.inf) < weights.smallest:
                 # Smaller than what is a cause it speaks neither for unknown nor, against effects, for none.

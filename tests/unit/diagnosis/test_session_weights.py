@@ -230,9 +230,12 @@ def test_a_pressure_stands_against_gusts_with_what_the_law_says_of_both() -> Non
     """It has fewer coefficients than gusts have, and needs no more than they do."""
 
     def pushed(pressure: float, gusts: float) -> dict[str, float]:
-        of = {nats: evidence((nats, 2.0, 2.0)).effects["air_drag"] for nats in (pressure, gusts, 200.0)}
+        of = {
+            nats: evidence((nats, 2.0, 2.0)).effects["air_drag"] for nats in (pressure, gusts, 200.0, 400.0)
+        }
         law = {"gusts": of[gusts], "pressure": of[pressure]}
-        outside = {"gusts": of[200.0], "pressure": of[200.0]}
+        # The balance of torques cannot tell them apart: it counts what gusts have in their direction alone.
+        outside = {"gusts": of[200.0], "pressure": of[400.0]}
         return chances(
             MotionEvidence(evidence((1.0, 1.0, 1.0)).base, law, outside=outside), SessionWeights(rivals=4.0)
         )
