@@ -359,13 +359,14 @@ class MotionEvidence:
 
         Contact is either: a push in a place and for a moment may show under a law alone, and where it shows
         in the balance, it is a rival of whatever pushes from outside. So are stand-ins for what the catalogue
-        lacks. Beside free forces a steady field takes up what any cause leaves, so there it opens no case of
-        its own: it may take from the others what the law gives it. Rest lengths that drift must explain more
+        lacks, but for a pressure, which shows in the balance as gusts do. Beside free forces a steady field
+        takes up what any cause leaves, and a pressure what gusts do, so there they open no case of their own:
+        they may take from the others what the law gives them. Rest lengths that drift must explain more
         there than a density, the other cause that is a force within the cloth as well, where the law does not
         prefer them to it.
         """
         both = {name for name in WEIGHING if name in self.outside and name in self.effects}
-        either = {n for n in (*PUSHING, *STAND_INS) if n in self.outside and n in self.effects}
+        either = {n for n in (*PUSHING, *_FLEXIBLE) if n in self.outside and n in self.effects}
         within = [name for name in self.effects if name not in self.outside or name in both | either]
         odds = {
             name: (self._of_law(name, weights) - weights.threshold) / weights.temperature

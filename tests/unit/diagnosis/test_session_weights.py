@@ -246,6 +246,17 @@ def test_a_pressure_stands_against_gusts_with_what_the_law_says_of_both() -> Non
     assert level[UNKNOWN] == pytest.approx(level["gusts"])
 
 
+def test_a_pressure_that_the_balance_of_torques_knows_nothing_of_is_an_error_of_the_law() -> None:
+    known = (60.0, 2.0)
+    of = {nats: evidence((nats, 2.0, 2.0)).effects["air_drag"] for nats in known}
+    outside = {"gusts": of[2.0], "pressure": of[2.0]}
+    base = evidence((1.0, 1.0, 1.0)).base
+    found = chances(
+        MotionEvidence(base, {"gusts": of[60.0], "pressure": of[60.0]}, outside=outside), SessionWeights()
+    )
+    assert found[NONE] > 0.9
+
+
 def test_a_stand_in_that_hardly_moves_the_cloth_says_nothing() -> None:
     """Rest lengths that drift by a hair explain what a law is wrong by, and are no rival of effects."""
     one = evidence((30.0, 2.0, 2.0))
