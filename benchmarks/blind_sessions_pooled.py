@@ -35,6 +35,7 @@ LATEST = (
     "eighth_medium",
     "ninth_medium",
     "tenth_medium",
+    "eleventh_medium",
 )
 """Sets answered since what the catalogue lacks has stand-ins, and contact is a candidate."""
 MEASURES = (
@@ -106,8 +107,8 @@ def markdown(table: pd.DataFrame, every: pd.DataFrame) -> str:
         title = f"## {_clips(str(clips))}, {version}"
         parts.append(f"{title}\n\n" + wide.loc[order, list(dict.fromkeys(rows["generator"]))].to_markdown())
     own = every[every["clips"] != SCENE]
-    counts = own.groupby(["set", "clips"], sort=False).size()
-    sets = ", ".join(f"{_set(name)} ({n})" for (name, _), n in counts.items())
+    counts = own.groupby("set", sort=False)["scene"].nunique()
+    sets = ", ".join(f"{_set(str(name))} ({n})" for name, n in counts.items())
     return "\n\n".join(
         (
             "# All sealed sessions so far",
