@@ -64,12 +64,15 @@ class Pressure(VertexEffect):
         return other.with_values(values)
 
     def described(self, around: Surroundings) -> dict[str, float]:
-        """Mean over the clip, and deviation in time; along the normals, see StepContext.normals."""
-        times = around.frame_times()
-        over_time = self._waves(times) @ self.values * (around.cloth.masses.sum() / _area(around))
+        """Mean over the clip, and deviation in time; along the normals, see StepContext.normals.
+
+        Per mass of an area, as images do not say what a cloth weighs. The mean is hardly told apart from a
+        steady wind.
+        """
+        over_time = self._waves(around.frame_times()) @ self.values
         return {
-            "mean [Pa]": float(over_time.mean()),
-            "deviation in time [Pa]": float(over_time.std(correction=0)),
+            "mean [m/s²]": float(over_time.mean()),
+            "deviation in time [m/s²]": float(over_time.std(correction=0)),
         }
 
     def energy(self, positions: Tensor, now: StepContext) -> Tensor:
@@ -88,7 +91,3 @@ class Pressure(VertexEffect):
         """Of every parameter at times (T,), (T, n_parameters)."""
         k = torch.arange(len(self._parameters), dtype=torch.float64)
         return torch.cos(torch.pi * k * times[:, None] / self.duration)
-
-
-def _area(around: Surroundings) -> float:
-    return around.cloth_size[0] * around.cloth_size[1]
