@@ -316,10 +316,10 @@ def write(cases: Mapping[str, Sequence[SessionCase]], *, ship: bool) -> None:
         "",
         "## Stand-ins, and contact that was looked for",
         "",
-        "`stand_in`: evidence under the law that a stand-in for what the catalogue lacks needs beyond what "
-        "an effect does; `outside_stand_in`: the same beside free forces; `searched`: the same of contact "
-        "with the best of many obstacles, under the law. Chosen together, with the least loss on the "
-        "sessions that have both, the largest of equals, unless those of before lose no more than one "
+        "`stand_in`: evidence under the law that a flexible stand-in for what the catalogue lacks needs "
+        "beyond what an effect does; `outside_stand_in`: the same beside free forces; `searched`: the same "
+        "of contact with the best of many obstacles, under the law. Chosen together, with the least loss on "
+        "the sessions that have both, the largest of equals, unless those of before lose no more than one "
         "standard error beside them. A cause left out: handicaps chosen without any session of it.",
         "",
         of_handicaps.to_markdown(index=False, floatfmt=".3f"),

@@ -33,6 +33,12 @@ def _parameters(n_modes: int) -> tuple[Parameter, ...]:
     )
 
 
+def half_waves(duration: float) -> int:
+    """How many of them, one at least, reach HIGHEST in so long a clip [s]."""
+    # A product such as 6 × 1.5 s may come out a hair above the whole number.
+    return max(1, math.ceil(2 * HIGHEST * duration - 1e-6))
+
+
 class Gusts(ForceEffect):
     """Uniform horizontal acceleration Σ a_k cos(π k t / T) over a clip of length T, of zero mean.
 
@@ -75,10 +81,8 @@ class Gusts(ForceEffect):
         if self._given:
             return self
         amplitudes = self.values.reshape(2, -1)
-        # A product such as 6 × 1.5 s may come out a hair above the whole number.
-        needed = math.ceil(2 * HIGHEST * duration - 1e-6)
         acting = [k + 1 for k in range(amplitudes.shape[1]) if bool(amplitudes[:, k].any())]
-        n_modes = max(1, needed, *acting)
+        n_modes = max([half_waves(duration), *acting])
         values = amplitudes.new_zeros(2, n_modes)
         n_kept = min(n_modes, amplitudes.shape[1])
         values[:, :n_kept] = amplitudes[:, :n_kept]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import math
 from collections.abc import Mapping
 from typing import ClassVar, Self
 
@@ -11,7 +10,7 @@ import torch
 from torch import Tensor
 
 from toile.effects.base import Parameter, Scope, Stage, Surroundings, VertexEffect
-from toile.effects.gusts import HIGHEST, USUAL_MODES
+from toile.effects.gusts import USUAL_MODES, half_waves
 from toile.physics.step_terms import StepContext
 
 
@@ -51,10 +50,8 @@ class Pressure(VertexEffect):
 
     def for_clip(self, duration: float) -> Self:
         """See Effect: waves up to the frequency that gusts have; amplitudes stay as they are."""
-        # A product such as 6 × 1.5 s may come out a hair above the whole number.
-        needed = math.ceil(2 * HIGHEST * duration - 1e-6)
         acting = self.values.nonzero().flatten().tolist()
-        n_modes = max(1, needed, *acting)
+        n_modes = max([half_waves(duration), *acting])
         values = self.values.new_zeros(n_modes + 1)
         n_kept = min(len(values), len(self.values))
         values[:n_kept] = self.values[:n_kept]
