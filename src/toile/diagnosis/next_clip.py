@@ -2,26 +2,30 @@
 
 For every motion that somebody may record, the base model of the session simulates a clip of this very cloth;
 the information that its images would add on every effect's coefficients is known before it is filmed. A
-hypothesis is drawn from the posterior with its coefficients, it draws what the clip would say, and Bayes'
-rule gives the posterior after it: the expected fall of its entropy is the information gained (Lindley 1956,
-On a measure of the information provided by an experiment).
+hypothesis is drawn from the posterior with its coefficients, it draws what the clip would say, Bayes' rule
+gives the evidence after it, and that becomes probabilities as the evidence of so many clips does: the
+expected fall of their entropy is the information gained (Lindley 1956, On a measure of the information
+provided by an experiment). The law is wrong about the clip as it is about the others, so what it draws
+scatters by as much as the evidence is too large.
 """
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import log_softmax
+from scipy.special import softmax
+from scipy.stats import entropy
 
 from toile.diagnosis.continuity import WindowSystem
-from toile.diagnosis.decision import NONE
 from toile.diagnosis.joint_fit import JointFit, JointFitting
 from toile.diagnosis.planned_clip import planned_clip
+from toile.diagnosis.session_weights import MotionEvidence, SessionWeights, chances
 from toile.effects.base import Effect, Scope
 from toile.physics.simulator import SimulationError
 from toile.workers import ALONE, Workers
@@ -67,16 +71,34 @@ class Known:
         return np.asarray(vectors * np.sqrt(np.clip(values, 0.0, None)))
 
 
+@dataclass(frozen=True)
+class _Further(MotionEvidence):
+    """Evidence with what a clip may add.
+
+    Attributes:
+        more: log evidence by effect [nats].
+        share: of that which remains where the forces within the cloth are free, by effect.
+    """
+
+    more: Mapping[str, float] = field(default_factory=dict)
+    share: Mapping[str, float] = field(default_factory=dict)
+
+    def nats(self, name: str) -> float:
+        return super().nats(name) + self.more.get(name, 0.0)
+
+    def freed_nats(self, name: str) -> float:
+        return super().freed_nats(name) + self.share[name] * self.more.get(name, 0.0)
+
+
 def expected_gains(
     fitting: JointFitting,
     base: JointFit,
     fits: Mapping[str, JointFit],
     effects: Sequence[Effect],
     systems: Sequence[Sequence[WindowSystem]],
-    chances: Mapping[str, float],
+    evidence: MotionEvidence,
+    weights: SessionWeights,
     motions: Iterable[str],
-    temperature: float,
-    scale: float,
     draws: int,
     seed: int,
     workers: Workers = ALONE,
@@ -89,21 +111,21 @@ def expected_gains(
         fitting: the session's problem; the clip is planned after its first clip.
         base: the base model.
         fits: of every effect.
-        effects: that move the cloth.
+        effects: that move the cloth, and stand-ins.
         systems: of every clip around the base model, see JointFitting.systems.
-        chances: probabilities of all hypotheses.
+        evidence: what the motion says so far.
+        weights: for one clip.
         motions: that may be recorded; those that cannot be simulated are left out, and the log says so.
-        temperature: evidence by which odds grow e-fold [nats].
-        scale: by which misfits are too large.
         draws: of what a clip may say, for every hypothesis.
         seed: of the draws.
         workers: share the windows.
         boundary: see planned_clip.
     """
-    before = fitting.fisher(effects, systems) / scale
+    before = fitting.fisher(effects, systems) / evidence.scale
     gains = {}
     like = fitting.clips[0]
     n_frames = min(clip.windows[-1].last for clip in fitting.clips) + 1
+    n_clips = len(fitting.clips)
     for motion in motions:
         try:
             n = len(fitting.start)
@@ -116,12 +138,12 @@ def expected_gains(
         more = JointFitting([*fitting.clips, clip], fitting.start, base.values[:n], fitting.settings)
         alone = JointFitting([clip], fitting.start, base.values[:n], fitting.settings)
         expected = alone.expected(np.concatenate((base.values[:n], wind)))
-        after = more.fisher(effects, [*systems, *alone.systems(effects, expected, workers)]) / scale
-        known, kept = _known(fitting, more, fits, effects, scale)
+        after = more.fisher(effects, [*systems, *alone.systems(effects, expected, workers)]) / evidence.scale
+        known, kept = _known(fitting, more, fits, effects, evidence.scale)
         after[np.ix_(kept, kept)] -= before
         rng = np.random.default_rng(seed)
         gains[motion] = expected_gain(
-            known, after, chances, temperature, draws, rng, still_air=clip.still_air
+            known, after, evidence, weights, n_clips, draws, rng, still_air=clip.still_air
         )
     return dict(sorted(gains.items(), key=lambda gain: -gain[1]))
 
@@ -129,8 +151,9 @@ def expected_gains(
 def expected_gain(
     known: Mapping[str, Known],
     information: Array,
-    chances: Mapping[str, float],
-    temperature: float,
+    evidence: MotionEvidence,
+    weights: SessionWeights,
+    n_clips: int,
     draws: int,
     rng: np.random.Generator,
     *,
@@ -141,43 +164,63 @@ def expected_gain(
     Args:
         known: of every effect, before.
         information: that the data add on all coefficients (n, n).
-        chances: probabilities before; hypotheses without coefficients stay as probable as they are.
-        temperature: see expected_gains.
+        evidence: before.
+        weights: for one clip.
+        n_clips: that the evidence is from.
         draws: for every hypothesis.
         rng: draws.
         still_air: whether nothing of what the clip alone has acts in it.
     """
-    names = list(chances)
-    logits = np.log(np.maximum([chances[name] for name in names], 1e-12))
+    now, then = weights.of_clips(n_clips), weights.of_clips(n_clips + 1)
+    odds = evidence.odds(now)
+    truths = dict(zip(odds, softmax(list(odds.values())), strict=True))
     values, vectors = np.linalg.eigh(0.5 * (information + information.T))
     # Differences of large matrices; what falls below zero is rounding.
     spread = vectors * np.sqrt(np.clip(values, 0.0, None))
     information = spread @ spread.T
-    updates = {name: _Update(one, information) for name, one in known.items()}
-    total, entropy = 0.0, 0.0
-    for truth in names:
-        if chances[truth] < _SMALLEST or (truth != NONE and truth not in known):
+    updates = {name: _Update(one, information, still_air) for name, one in known.items()}
+    share = {name: _share(evidence, name) for name in evidence.outside}
+    total, left = 0.0, 0.0
+    for truth, chance in truths.items():
+        if chance < _SMALLEST:
             continue
         for _ in range(draws):
             coefficients = np.zeros(len(information))
             if truth in known:
                 one = known[truth]
                 coefficients[one.own] = one.mean + one.spread @ rng.standard_normal(len(one.mean))
-                here = 0.0 if still_air else one.usual
-                coefficients[one.new] = here * rng.standard_normal(len(one.new))
-            score = information @ coefficients + spread @ rng.standard_normal(len(information))
-            added = [updates[name].nats(score) / temperature if name in known else 0.0 for name in names]
-            entropy += chances[truth] / draws * _entropy(logits + added)
-        total += chances[truth]
-    return float(_entropy(logits) - entropy / total) if total else 0.0
+                if not still_air:
+                    coefficients[one.new] = one.usual * rng.standard_normal(len(one.new))
+            # How wrong the law is about this cloth is as unknown as it is to the odds.
+            wrong = then.temperature * np.exp(weights.law_spread * rng.standard_normal())
+            noise = np.sqrt(max(1.0, wrong)) * spread @ rng.standard_normal(len(information))
+            score = information @ coefficients + noise
+            more = {name: updates[name].nats(score) for name in updates}
+            further = _Further(**_fields(evidence), more=more, share=share)
+            left += chance / draws * _entropy(chances(further, then))
+        total += chance
+    return float(_entropy(chances(evidence, now)) - left / total)
+
+
+def _fields(evidence: MotionEvidence) -> dict[str, Any]:
+    return {one.name: getattr(evidence, one.name) for one in fields(MotionEvidence)}
+
+
+def _share(evidence: MotionEvidence, name: str) -> float:
+    """Of what the clips know of an effect, the share that they know with the forces within the cloth free."""
+    if name not in evidence.effects:
+        return 1.0
+    under_law = sum(evidence.effects[name].information)
+    return min(1.0, sum(evidence.outside[name].information) / max(under_law, 1e-12))
 
 
 class _Update:
     """Bayes' rule for one effect and data that say so much; all but their score is known before they come."""
 
-    def __init__(self, known: Known, information: Array) -> None:
-        self._at = np.concatenate((known.own, known.new)).astype(np.intp)
-        n, m = len(known.own), len(known.new)
+    def __init__(self, known: Known, information: Array, still_air: bool) -> None:
+        new = known.new[:0] if still_air else known.new
+        self._at = np.concatenate((known.own, new)).astype(np.intp)
+        n, m = len(known.own), len(new)
         before = np.zeros((n + m, n + m))
         before[:n, :n] = known.precision
         before[n:, n:] = np.eye(m) / known.size**2
@@ -193,9 +236,8 @@ class _Update:
         return 0.5 * float(right @ self._covariance @ right + self._constant)
 
 
-def _entropy(logits: Array) -> float:
-    logs = log_softmax(logits)
-    return float(-(np.exp(logs) * logs).sum())
+def _entropy(of: Mapping[str, float]) -> float:
+    return float(entropy(list(of.values())))
 
 
 def _known(

@@ -175,7 +175,8 @@ def diagnose_session(
     made_from |= {"stiffness": fingerprint(settings.stiffness), "shooting": fingerprint(settings.shooting)}
     refining = refining_stage(clips, together, settings.stiffness, made_from, workers)
     motion = pipeline.run(refining, *(clip.tracked for clip in clips))
-    weights = SessionWeights.load().of_clips(len(clips))
+    of_one_clip = SessionWeights.load()
+    weights = of_one_clip.of_clips(len(clips))
     changes = {
         of.folder.name: change
         for of, clip, positions in zip(session.clips, clips, motion.positions, strict=True)
@@ -191,7 +192,7 @@ def diagnose_session(
     base = pipeline.run(stages.usual(0.53), motion, plain)
     if any(effect.NAME == Contact.NAME for effect in effects):
         # It is known what the cloth may touch.
-        weights = replace(weights, searched=0.0)
+        of_one_clip, weights = replace(of_one_clip, searched=0.0), replace(weights, searched=0.0)
     if model.looks_for_obstacles(effects):
         model = model.with_obstacles(pipeline.run(stages.obstacles(0.54), motion, base))
     if any(model.own):
@@ -276,10 +277,9 @@ def diagnose_session(
             {**dict.fromkeys(base.names, base), **fits},
             considered,
             systems,
-            evidence.chances,
+            evidence.motion,
+            of_one_clip,
             MOTIONS,
-            weights.temperature,
-            scale,
             together.draws,
             together.seed,
             workers,

@@ -297,6 +297,10 @@ class MotionEvidence:
         """Log evidence of an effect against the base model."""
         return _nats(self.effects[name], self.scale)
 
+    def freed_nats(self, name: str) -> float:
+        """Log evidence of a cause from outside, the forces within the cloth free."""
+        return _nats(self.outside[name], 1.0)
+
     @property
     def scale(self) -> float:
         """By how much all misfits are too large: what even the best hypothesis is wrong by is the noise.
@@ -374,8 +378,8 @@ class MotionEvidence:
             for name in within
         }
         freed = {
-            name: (_nats(evidence, 1.0) - weights.outside_threshold) / weights.outside_temperature
-            for name, evidence in self.outside.items()
+            name: (self.freed_nats(name) - weights.outside_threshold) / weights.outside_temperature
+            for name in self.outside
         }
         if Pressure.NAME in freed and Gusts.NAME in freed:
             # Both give the balance of torques any history in time: which of them it is the law alone says.

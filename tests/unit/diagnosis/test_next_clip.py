@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
+from toile.diagnosis.effect_evidence import EffectEvidence
 from toile.diagnosis.joint_fit import JointClip, JointFitting, joint_clip
+from toile.diagnosis.model_errors import ModelErrors
 from toile.diagnosis.next_clip import Known, expected_gain, expected_gains
 from toile.diagnosis.planned_clip import PERFORMANCES, planned_clip
+from toile.diagnosis.session_weights import USUAL_SHARE, MotionEvidence, SessionWeights
 from toile.diagnosis.shooting import Shooting, ShootingSettings
 from toile.diagnosis.tracked import Tracked
 from toile.effects.base import Surroundings
@@ -26,7 +31,10 @@ MOVED = 0.01  # m
 MATERIAL = np.array([400.0, 2e-3, 1e-4])
 GRAVITY = np.array([0.0, 9.81, 0.0])
 HORIZONTAL = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-CHANCES = {"air_drag": 0.5, "gusts": 0.5}
+EVEN = {"air_drag": 20.0, "gusts": 20.0}
+"""Evidence so far [nats]; beside so much none is out of the question."""
+EXACT = SessionWeights(threshold=0.0, temperature=1.0, law_spread=0.0, stand_in=0.0)
+"""Weights for a law that is right."""
 
 
 def known(place: int, mean: float = 3.0) -> Known:
@@ -34,9 +42,21 @@ def known(place: int, mean: float = 3.0) -> Known:
     return Known(np.array([mean]), np.array([[0.1]]), at, np.zeros(0, np.intp), 3.0, 0.0)
 
 
-def gain(information: np.ndarray, chances: dict[str, float] = CHANCES) -> float:
-    of_two = {"air_drag": known(0), "gusts": known(1)}
-    return expected_gain(of_two, information, chances, 1.0, 64, np.random.default_rng(0))
+def evidence(nats: dict[str, float], outside: dict[str, float] | None = None) -> MotionEvidence:
+    errors = ModelErrors(1e4, 1e4, USUAL_SHARE)
+    of = {name: EffectEvidence(value, (), (), 1.0) for name, value in nats.items()}
+    freed = {name: EffectEvidence(value, (), (), 1.0) for name, value in (outside or {}).items()}
+    return MotionEvidence(errors, of, outside=freed)
+
+
+def gain(
+    information: np.ndarray,
+    nats: dict[str, float] = EVEN,
+    weights: SessionWeights = EXACT,
+    n_clips: int = 1,
+) -> float:
+    effects = {name: known(k) for k, name in enumerate(EVEN)}
+    return expected_gain(effects, information, evidence(nats), weights, n_clips, 64, np.random.default_rng(0))
 
 
 class TestExpectedGain:
@@ -54,22 +74,46 @@ class TestExpectedGain:
         assert gain(np.ones((2, 2)) * 1e3) < 0.02
 
     def test_a_clear_answer_has_little_to_gain(self) -> None:
-        assert gain(np.eye(2), {"air_drag": 0.999, "gusts": 0.001}) < 0.02
+        assert gain(np.eye(2), {"air_drag": 20.0, "gusts": 13.0}) < 0.02
 
-    def test_hypotheses_without_coefficients_do_not_count_as_truth(self) -> None:
-        assert gain(np.eye(2), {"unknown": 0.9, "air_drag": 0.05, "gusts": 0.05}) < 0.5
+    def test_a_law_that_is_wrong_tells_less(self) -> None:
+        gains = [gain(np.eye(2), weights=replace(EXACT, temperature=t)) for t in (1.0, 4.0, 16.0)]
+        assert gains[0] > gains[1] + 0.1 > gains[2] + 0.2
+        unsure = gain(np.eye(2), weights=replace(EXACT, temperature=4.0, law_spread=0.7))
+        assert unsure < gains[1]
+
+    def test_what_clips_are_wrong_by_alike_more_of_them_do_not_mend(self) -> None:
+        wrong = replace(EXACT, temperature=4.0)
+        one, nine = (gain(8 * np.eye(2), weights=wrong, n_clips=n) for n in (1, 9))
+        assert 0.0 < nine < 0.6 * one
+
+    def test_a_stand_in_may_be_the_truth(self) -> None:
+        nats = {**EVEN, "steady_forces": 20.0}
+        effects = {name: known(k) for k, name in enumerate(nats)}
+        rng = np.random.default_rng(0)
+        found = expected_gain(effects, 1e3 * np.eye(3), evidence(nats), EXACT, 1, 64, rng)
+        assert found == pytest.approx(np.log(3), abs=1e-3)
+
+    def test_causes_from_outside_are_told_apart_with_the_forces_within_the_cloth_free(self) -> None:
+        freed = evidence({}, EVEN)
+        effects = {name: known(k) for k, name in enumerate(EVEN)}
+        weights = replace(EXACT, outside_threshold=0.0, outside_temperature=1.0)
+        rng = np.random.default_rng(0)
+        found = expected_gain(effects, 1e3 * np.eye(2), freed, weights, 1, 64, rng)
+        assert found == pytest.approx(np.log(2), abs=1e-3)
 
     def test_gusts_of_a_clip_in_still_air_are_not_there(self) -> None:
         new = np.array([1], np.intp)
         gusts = Known(np.array([2.0]), np.array([[0.1]]), np.array([0], np.intp), new, 3.0, 2.0)
-        chances, information = {"none": 0.5, "gusts": 0.5}, np.diag([0.0, 50.0])
+        so_far, information = evidence({"gusts": 0.0}), np.diag([0.0, 50.0])
         windy, still = (
             expected_gain(
-                {"gusts": gusts}, information, chances, 1.0, 64, np.random.default_rng(0), still_air=air
+                {"gusts": gusts}, information, so_far, EXACT, 1, 64, np.random.default_rng(0), still_air=air
             )
             for air in (False, True)
         )
-        assert windy > still + 0.1
+        assert windy > 0.3
+        assert still == pytest.approx(0.0, abs=1e-9)
 
 
 @pytest.fixture(scope="module")
@@ -139,13 +183,13 @@ def test_still_air_parts_tilted_gravity_from_a_wind(hanging: JointClip) -> None:
     effects = [CATALOGUE["gravity_tilt"](), CATALOGUE["air_drag"]()]
     systems = fitting.systems(effects, base)
     fits = {e.NAME: fitting.fitted((e,), base) for e in effects}
-    chances = {"none": 0.4, "gravity_tilt": 0.4, "air_drag": 0.2}
+    so_far = evidence({"gravity_tilt": 0.0, "air_drag": -0.7})
+    motions = ("hang", "fan_off")
     gains = expected_gains(
-        fitting, base, fits, effects, systems, chances, ("hang", "fan_off"), 1.0, 1.0, 32, 0, boundary=MOVED
+        fitting, base, fits, effects, systems, so_far, EXACT, motions, 32, 0, boundary=MOVED
     )
     assert set(gains) == {"hang", "fan_off"}
-    entropy = -sum(p * np.log(p) for p in chances.values())
-    assert all(0 < gain < entropy for gain in gains.values())
+    assert all(0 < gain < np.log(3) for gain in gains.values())
     tilt = fitting.layout(effects).places[0]
 
     def known_of_tilt(motion: str) -> float:
