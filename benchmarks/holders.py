@@ -149,17 +149,17 @@ def learnt(table: pd.DataFrame) -> SessionWeights:
     found = SessionWeights()
     sizes = np.log(np.maximum(np.abs(table[CHANGE].to_numpy()) / 100, 1e-4))
     shrinks = (table["cause"] == RESIZED).to_numpy()
-    at, steep = _parted(sizes, shrinks, (float(np.log(found.resized)), 1.0), found.resizing)
+    at, steep = parted(sizes, shrinks, (float(np.log(found.resized)), 1.0), found.resizing)
     found = replace(found, resized=float(np.exp(at)), resizing=steep)
     # Holders seem to go with a cloth that seems to change its size, so there nobody asks for slips.
     asked = ~shrinks
     slips = np.array([AnchorSlip.NAME in str(cause).split("+") for cause in table["cause"]])[asked]
     nats = table[SLIP].to_numpy()[asked]
-    at, steep = _parted(nats, slips, (found.slip_threshold, 10.0), 1 / found.slip_temperature)
+    at, steep = parted(nats, slips, (found.slip_threshold, 10.0), 1 / found.slip_temperature)
     return replace(found, slip_threshold=at, slip_temperature=1 / steep)
 
 
-def _parted(
+def parted(
     values: Array, acts: NDArray[np.bool_], at: tuple[float, float], steep: float
 ) -> tuple[float, float]:
     """Place and slope of log odds steep (value - at) under which two kinds of sessions are most probable.

@@ -18,9 +18,16 @@ from toile.errors import InputError
 
 BAD_INPUT = 2
 SIMULATION_FAILED = 3
+PROCESS_KILLED = 4
 INTERRUPTED = 130
 
 FULL_ERROR_VARIABLE = "HYDRA_FULL_ERROR"
+
+
+_KILLED = (
+    "error: A process that shared the work was killed, most often because the memory was full; fewer at a "
+    "time need less. Stages that were finished are kept."
+)
 
 
 class CommandError(Exception):
@@ -43,6 +50,7 @@ def explain(error: BaseException) -> Failure | None:
     # A simulation can only have failed where it was loaded; loading it, and PyTorch, for a typing error would
     # make the user wait for the message.
     simulators = sys.modules.get("toile.physics.simulator")
+    pools = sys.modules.get("concurrent.futures.process")
     disk = disk_failure(error)
     if disk is not None:
         # Python does not always know the file.
@@ -54,6 +62,9 @@ def explain(error: BaseException) -> Failure | None:
             return Failure(f"error: {cause}", BAD_INPUT)
         if simulators is not None and isinstance(cause, simulators.SimulationError):
             return Failure(f"error: {cause}", SIMULATION_FAILED)
+        if pools is not None and isinstance(cause, pools.BrokenProcessPool):
+            # Those of joblib are of this kind as well.
+            return Failure(_KILLED, PROCESS_KILLED)
     if isinstance(error, MissingMandatoryValue | InterpolationToMissingValueError):
         failure = _missing(error)
     elif isinstance(error, InstantiationException):

@@ -20,7 +20,7 @@ Keys of the file:
   number}, ``equivalence_classes`` [[name]], ``material`` {name: number}, ``left``, ``next_clip``,
   ``expected_information`` {motion: number}, ``obstacles`` {clip: {``point``, ``normal``
   or ``centre``, ``radius``}}, ``stand_ins`` {name: {``probability``, ``moves``, ``found`` {name: number}}},
-  ``resized`` {clip: share}, ``unseen`` [name]
+  ``resized`` {clip: share}, ``covered`` {clip: {``share``, ``first``, ``last``}}, ``unseen`` [name]
 
 Numbers that do not exist are null. Keys that are not listed are refused: a typing error must not pass for a
 missing answer.
@@ -257,6 +257,20 @@ class StandIn:
 
 
 @dataclass(frozen=True)
+class Covered:
+    """What seems to be before the cloth in a clip, and the mask takes for cloth.
+
+    Attributes:
+        share: of the print that is seen in other frames, hidden at most.
+        first, last: frames in which as much is hidden as speaks for it.
+    """
+
+    share: Fraction
+    first: int
+    last: int
+
+
+@dataclass(frozen=True)
 class SessionAnswer:
     """What several clips of one cloth add to a report.
 
@@ -283,6 +297,7 @@ class SessionAnswer:
         stand_ins: where UNKNOWN is what may be missing: what it looks like, by the name of the stand-in.
         resized: share by which the sides seem to change, by clip, where nobody moved what holds the cloth and
             it is more than tracking errs by; negative where they shrink.
+        covered: what seems to be before the cloth, by clip, where something does.
         unseen: causes from outside that leave no trace of their own in these clips; one class with NONE.
     """
 
@@ -302,6 +317,7 @@ class SessionAnswer:
     obstacles: dict[str, dict[str, tuple[float, ...]]] = field(default_factory=dict)
     stand_ins: dict[str, StandIn] = field(default_factory=dict)
     resized: dict[str, float] = field(default_factory=dict)
+    covered: dict[str, Covered] = field(default_factory=dict)
     unseen: tuple[str, ...] = ()
 
 

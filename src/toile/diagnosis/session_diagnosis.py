@@ -31,6 +31,7 @@ from toile.diagnosis.learned.decision import WEIGHTS, LearnedDecision
 from toile.diagnosis.learned.features import clip_features
 from toile.diagnosis.left_out import LeftOut, left_out_shrinks
 from toile.diagnosis.next_clip import expected_gains
+from toile.diagnosis.occlusion import OcclusionSettings, hidden_shares, lasting
 from toile.diagnosis.outside_causes import OutsideCause, OutsideCauses, outside_stage
 from toile.diagnosis.pipeline import Pipeline, Progress
 from toile.diagnosis.problem import DiagnosisProblem
@@ -38,6 +39,7 @@ from toile.diagnosis.record import (
     AMBIGUOUS,
     NONE,
     CalibrationUse,
+    Covered,
     EffectReport,
     GapReport,
     Protocol,
@@ -97,6 +99,10 @@ _RESIZED = (
     "catalogue does that."
 )
 
+_COVERED = (
+    "Something seems to pass before the cloth that the masks take for cloth: there the cloth's print is gone."
+)
+
 _FEWEST = 24
 """Frames of a clip that the learned decision looks at."""
 
@@ -118,6 +124,7 @@ class _Found:
     second: SecondEffect | None
     stand_ins: dict[str, StandIn]
     resized: dict[str, float]
+    covered: dict[str, Covered]
     slipped: int
 
 
@@ -181,6 +188,14 @@ def diagnose_session(
         of.folder.name: change
         for of, clip, positions in zip(session.clips, clips, motion.positions, strict=True)
         if (change := change_of_size(clip, positions)) is not None
+    }
+    progress("what passes before the cloth", 0.5)
+    hidden = {
+        of.folder.name: hidden_in(clip, together.occlusion)
+        for of, clip in zip(session.clips, clips, strict=True)
+    }
+    covered = {
+        name: cover for name, shares in hidden.items() if (cover := cover_of(shares, weights)) is not None
     }
     resized = {name: change for name, change in changes.items() if abs(change) > weights.resized}
     if not resized:
@@ -257,6 +272,7 @@ def diagnose_session(
         sizes,
         outside.causes,
         max(changes.values(), key=abs, default=None),
+        max(float(shares.max()) for shares in hidden.values()),
     )
     evidence.motion.write(folder / EVIDENCE_FILE)
     scale = evidence.scale
@@ -316,6 +332,7 @@ def diagnose_session(
         second,
         unnamed,
         resized,
+        covered,
         which_slips(of_images),
     )
     report = _report(found, effects, settings, together, calibration, session, folder)
@@ -349,10 +366,31 @@ def _stand_ins(
         if name in outside.causes and motion.outside[name].nats() > motion.nats(name):
             mean = outside.causes[name].coefficients
         acting = effect.with_values(effect.scales * torch.from_numpy(mean[: len(effect.scales)].copy()))
-        # What the cloth's apparent size says is said of a motion that stand-ins have not seen.
-        chance = float(share * expit(-motion.of_size(weights))) * evidence.chances[UNKNOWN]
+        # What the cloth looks like, its size and its print, says nothing for what moves it.
+        chance = float(share * expit(-motion.of_looks(weights))) * evidence.chances[UNKNOWN]
         found[name] = StandIn(chance, size if np.isfinite(size) else None, acting.described(around))
     return found
+
+
+def hidden_in(clip: SeenClip, settings: OcclusionSettings) -> Array:
+    """Share of the cloth's print that is hidden for a while, in every frame of a clip (F,)."""
+    # Where the base model is wrong its motion may leave the cloth's print; tracking follows that.
+    positions = clip.tracked.positions[: clip.n_frames]
+    shares = hidden_shares(clip.problem.reconstruction, positions, settings)
+    return lasting(shares, clip.problem.scene.fps, settings)
+
+
+def cover_of(shares: Array, weights: SessionWeights) -> Covered | None:
+    """What seems to be before the cloth; None where nothing does.
+
+    Args:
+        shares: of its print that are hidden (F,).
+        weights: see SessionWeights.
+    """
+    frames = np.flatnonzero(shares > weights.covered)
+    if not len(frames):
+        return None
+    return Covered(float(shares.max()), int(frames[0]), int(frames[-1]))
 
 
 def stand_in_sizes(sizes: Mapping[str, float], outside: OutsideCauses) -> dict[str, float]:
@@ -407,7 +445,9 @@ def _report(
         settings=settings.verdict,
     )
     if verdict.effect == UNKNOWN:
-        verdict = replace(verdict, reason=_RESIZED if found.resized else _LACKING)
+        reasons = ((_RESIZED, found.resized), (_COVERED, found.covered))
+        said = " ".join(reason for reason, there in reasons if there)
+        verdict = replace(verdict, reason=said or _LACKING)
     if unseen:
         # Whatever they do is in the base model already.
         classes = [c for c in classes if not set(c) <= set(unseen)] + [(NONE, *unseen)]
@@ -486,6 +526,7 @@ def _report(
             _obstacles(found, session) if Contact.NAME in (*verdict.candidates, verdict.also) else {},
             found.stand_ins if UNKNOWN in verdict.candidates else {},
             found.resized,
+            found.covered,
             unseen,
         ),
     )

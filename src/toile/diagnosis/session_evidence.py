@@ -63,6 +63,7 @@ def session_evidence(
     sizes: Mapping[str, float] | None = None,
     outside: Mapping[str, OutsideCause] | None = None,
     resized: float | None = None,
+    covered: float | None = None,
 ) -> SessionEvidence:
     """Put together what motion and images of all clips say.
 
@@ -81,6 +82,7 @@ def session_evidence(
         sizes: how far every other effect moves the cloth, see MotionEvidence.
         outside: what speaks for causes from outside, whatever the law is.
         resized: share by which the sides seem to change, see MotionEvidence.
+        covered: share of the cloth's print that is hidden, see MotionEvidence.
     """
     outside = outside or {}
     by_name = {effect.NAME: effect for effect in effects}
@@ -89,6 +91,7 @@ def session_evidence(
         sizes={**{name: cause.displacement.last for name, cause in outside.items()}, **(sizes or {})},
         outside={name: cause.evidence for name, cause in outside.items()},
         resized=resized,
+        covered=covered,
     )
     drops = {name: one.drop for name, one in motion.effects.items() if name not in STAND_INS}
     left = motion.over_usual
@@ -120,7 +123,7 @@ def session_evidence(
             findings[name] = finding(by_name[name], cause.evidence.nats(), mean, covariance)
     strange = none + float(weights.strangeness * np.log(left / weights.strange))
     logits[UNKNOWN] = float(np.logaddexp(strange, logits.get(UNKNOWN, -np.inf)))
-    chances = _chances(motion.with_size(logits, weights))
+    chances = _chances(motion.with_looks(logits, weights))
     return SessionEvidence(findings, drops, chances, left, scale, motion)
 
 

@@ -10,6 +10,7 @@ from pydantic import Field
 
 from toile.diagnosis.attachment_slip import RefinedSlipSettings, SlipSettings
 from toile.diagnosis.joint_fit import JointFitSettings
+from toile.diagnosis.occlusion import OcclusionSettings
 from toile.diagnosis.softened import ModelError
 from toile.diagnosis.touched_obstacles import TouchedSettings
 from toile.limits import Count, CountOrZero, Fraction, NonNegative, Positive, Seed, Unit
@@ -108,6 +109,7 @@ class SessionSettings:
         error_rounds: fits of the base model in which that share is found; 0 leaves it as it is.
         slip: what pinned vertices do without slipping, in the motion that the base model has refined, and
             how slips look.
+        occlusion: how the print of the cloth is looked for, to see what passes before it.
         touched: how obstacles that nobody knows of are looked for; None: they are not, and ``contact`` is a
             candidate only where it was given with its obstacle.
         stand_ins: hypotheses for what the catalogue lacks; what speaks for them speaks for ``unknown``.
@@ -144,6 +146,7 @@ class SessionSettings:
     model_error: ModelError = field(default_factory=ModelError)
     error_rounds: CountOrZero = 3
     slip: SlipSettings = field(default_factory=RefinedSlipSettings)
+    occlusion: OcclusionSettings = field(default_factory=OcclusionSettings)
     touched: TouchedSettings | None = field(default_factory=TouchedSettings)
     stand_ins: StandIns = ("steady_forces", "rest_length_drift", "pressure")
     usual: Usual = ("internal_damping",)

@@ -99,6 +99,9 @@ class SessionWeights:
         resized: share by which the sides of a cloth seem to change (apparent_size) where something unknown
             and all else are equally probable.
         resizing: e-folds of the odds of something unknown for each logarithm beyond that.
+        covered: share of the cloth's print that is hidden (occlusion) where something unknown and all else
+            are equally probable.
+        covering: e-folds of the odds of something unknown for each logarithm beyond that.
         slip_threshold: evidence at which a slip and none are equally probable, by the refined paths of what
             holds the cloth (holder_slips) [nats].
         slip_temperature: evidence by which its odds grow e-fold [nats].
@@ -124,6 +127,8 @@ class SessionWeights:
     strangeness: float = 4.0
     resized: float = 0.025
     resizing: float = 4.0
+    covered: float = 0.01
+    covering: float = 4.0
     slip_threshold: float = 10.0
     slip_temperature: float = 2.0
 
@@ -197,6 +202,7 @@ class MotionEvidence:
         outside: what is said of causes from outside with the forces within the cloth free, see
             outside_causes; of those that are not here nothing is known.
         resized: share by which the sides seem to change, see apparent_size; None where that is not seen.
+        covered: share of the cloth's print that is hidden, see occlusion; None where nobody has looked.
     """
 
     base: ModelErrors
@@ -206,6 +212,7 @@ class MotionEvidence:
     sizes: Mapping[str, float] = field(default_factory=dict)
     outside: Mapping[str, EffectEvidence] = field(default_factory=dict)
     resized: float | None = None
+    covered: float | None = None
 
     def write(self, path: Path) -> None:
         """Keep it, so that weights can be learnt from it once the cause is known.
@@ -239,7 +246,7 @@ class MotionEvidence:
             )
             base = ModelErrors(**{name: float(value) for name, value in values["base"].items()})
             learned, usual, sizes = values["learned"], values["usual"], values["sizes"]
-            resized = values.get("resized")
+            resized, covered = values.get("resized"), values.get("covered")
             return MotionEvidence(
                 base,
                 effects,
@@ -248,6 +255,7 @@ class MotionEvidence:
                 dict(sizes),
                 outside,
                 None if resized is None else float(resized),
+                None if covered is None else float(covered),
             )
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             raise InputError(
@@ -280,17 +288,30 @@ class MotionEvidence:
             return -np.inf
         return weights.resizing * float(np.log(max(abs(self.resized), _LEAST) / weights.resized))
 
-    def with_size(self, logits: Mapping[str, float], weights: SessionWeights) -> dict[str, float]:
-        """Log odds with what the cloth's apparent size says of UNKNOWN.
+    def of_cover(self, weights: SessionWeights) -> float:
+        """Log odds of something unknown against all else, by how much of the cloth's print is hidden.
+
+        What lies before the cloth moves nothing, so what is said of all else says nothing against it.
+        """
+        if self.covered is None:
+            return -np.inf
+        return weights.covering * float(np.log(max(self.covered, _LEAST) / weights.covered))
+
+    def of_looks(self, weights: SessionWeights) -> float:
+        """Log odds of something unknown against all else, by the cloth's apparent size and what covers it."""
+        return float(np.logaddexp(self.of_size(weights), self.of_cover(weights)))
+
+    def with_looks(self, logits: Mapping[str, float], weights: SessionWeights) -> dict[str, float]:
+        """Log odds with what the cloth's apparent size and what covers it say of UNKNOWN.
 
         Args:
             logits: of all hypotheses, UNKNOWN among them or not.
             weights: see SessionWeights.
         """
-        if self.resized is None:
+        if self.resized is None and self.covered is None:
             return dict(logits)
         every = float(np.logaddexp.reduce(list(logits.values())))
-        unknown = np.logaddexp(logits.get(UNKNOWN, -np.inf), every + self.of_size(weights))
+        unknown = np.logaddexp(logits.get(UNKNOWN, -np.inf), every + self.of_looks(weights))
         return {**logits, UNKNOWN: float(unknown)}
 
     def nats(self, name: str) -> float:
@@ -513,7 +534,7 @@ def learnt_weights(
 
 def chances(evidence: MotionEvidence, weights: SessionWeights) -> dict[str, float]:
     """Probabilities of effects that move the cloth, of none of them, and of UNKNOWN by its stand-ins."""
-    logits = evidence.with_size(evidence.logits(weights), weights)
+    logits = evidence.with_looks(evidence.logits(weights), weights)
     return dict(zip(logits, map(float, softmax(list(logits.values()))), strict=True))
 
 

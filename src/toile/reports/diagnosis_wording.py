@@ -204,6 +204,16 @@ def resized(report: GapReport) -> list[str]:
     ]
 
 
+def covered(report: GapReport) -> list[str]:
+    """Clips in which something seems to be before the cloth, one sentence each."""
+    found = {} if report.session is None else report.session.covered
+    return [
+        f"In {clip} up to {100 * one.share:.0f} % of the print is gone between frames {one.first} "
+        f"and {one.last}: something passes before it that the masks take for cloth."
+        for clip, one in found.items()
+    ]
+
+
 def where_it_acts(report: GapReport) -> str:
     """What the map of the effect that is named shows."""
     effect = report.verdict.effect

@@ -280,7 +280,7 @@ def test_a_cloth_that_seems_to_shrink_is_unknown_however_sure_an_effect_is() -> 
     logits = {NONE: 0.0, "gusts": 140.0}
 
     def of(change: float | None) -> float:
-        found = replace(evidence((4.0, 4.0, 4.0)), resized=change).with_size(logits, weights)
+        found = replace(evidence((4.0, 4.0, 4.0)), resized=change).with_looks(logits, weights)
         return float(1 / (1 + np.exp(found["gusts"] - found.get(UNKNOWN, -np.inf))))
 
     assert of(-0.08) > 0.98
@@ -290,6 +290,21 @@ def test_a_cloth_that_seems_to_shrink_is_unknown_however_sure_an_effect_is() -> 
     assert of(0.005) < 0.01
     assert of(0.0) < 1e-6
     assert of(None) == 0.0
+
+
+def test_a_print_that_is_hidden_speaks_for_something_unknown() -> None:
+    logits, weights = {"gusts": 3.0, NONE: -2.0}, SessionWeights()
+
+    def of(share: float | None, change: float | None = None) -> float:
+        found = replace(evidence((4.0, 4.0, 4.0)), covered=share, resized=change).with_looks(logits, weights)
+        return float(1 / (1 + np.exp(found["gusts"] - found.get(UNKNOWN, -np.inf))))
+
+    assert of(0.05) > 0.98
+    assert of(0.0) < 1e-6
+    assert of(None) == 0.0
+    # Either is enough, and neither speaks against the other.
+    assert of(0.0, -0.08) > 0.98
+    assert of(0.05, 0.0) > 0.98
 
 
 def test_what_the_base_model_explains_is_not_left_for_others() -> None:
@@ -311,7 +326,7 @@ def test_images_explained_better_than_expected_know_no_more() -> None:
 
 def test_evidence_is_kept_to_learn_from(tmp_path: Path) -> None:
     whole = replace(evidence((30.0, 6.0, 5.0)), learned={"air_drag": 0.2}, usual={"internal_damping": 0.01})
-    whole = replace(whole, resized=-0.03)
+    whole = replace(whole, resized=-0.03, covered=0.02)
     whole.write(tmp_path / "motion_evidence.json")
     assert MotionEvidence.load(tmp_path / "motion_evidence.json") == whole
     (tmp_path / "motion_evidence.json").write_text('{"base": {}}')

@@ -20,6 +20,7 @@ from toile.diagnosis.record import (
     UNKNOWN,
     Alias,
     CalibrationUse,
+    Covered,
     Estimate,
     GapReport,
     SessionAnswer,
@@ -184,6 +185,14 @@ def test_a_cloth_that_seems_to_become_smaller(report: GapReport) -> None:
     verdict = Verdict(UNKNOWN, (UNKNOWN,), UNKNOWN, 0.93, "Because.", "")
     text = words(header(dataclasses.replace(answered(report, verdict), session=session)))
     assert "In clip_0 the sides of the cloth seem to become 6.8 % shorter while what holds it" in text
+
+
+def test_something_before_the_cloth(report: GapReport) -> None:
+    covered = {"clip_0": Covered(0.0568, 12, 48)}
+    session = SessionAnswer(("a",), (80,), {}, (), {}, 1.0, covered=covered)
+    verdict = Verdict(UNKNOWN, (UNKNOWN,), UNKNOWN, 0.93, "Because.", "")
+    text = words(header(dataclasses.replace(answered(report, verdict), session=session)))
+    assert "In clip_0 up to 6 % of the print is gone between frames 12 and 48" in text
 
 
 def test_what_would_not_show_is_said_where_nothing_does(report: GapReport) -> None:
