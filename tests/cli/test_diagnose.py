@@ -19,7 +19,7 @@ from toile.cli.diagnose import SessionProblem, _problem, diagnose_scene, diagnos
 from toile.cli.main import main
 from toile.diagnosis import session_diagnosis
 from toile.diagnosis.arrays import HELD_OUT_FILE, SCREENING_FILE
-from toile.diagnosis.record import DIAGNOSIS_FILE, GapReport
+from toile.diagnosis.record import DIAGNOSIS_FILE, Covered, GapReport
 from toile.diagnosis.stage_store import StageStore
 from toile.diagnosis.stage_times import TIMES_FILE, read_times
 from toile.diagnosis.stages import FILES, TRACKED_FILE
@@ -458,6 +458,19 @@ def test_clips_of_a_session_have_one_answer(
     assert again.verdict.effect == "unknown"
     assert judged["with_slips, settings"] == [{"resized": False}, {"resized": True}]
     assert len(judged["moved_holders"]) == 1
+    # What hides the cloth's print moves nothing, and another motion would not take it away.
+    monkeypatch.setattr(session_diagnosis, "change_of_size", lambda clip, positions: None)
+    shares = np.array([0.0, 0.2, 0.3, 0.0])
+    monkeypatch.setattr(session_diagnosis, "hidden_in", lambda clip, settings: shares)
+    (tmp_path / DIAGNOSIS_FILE).unlink()
+    diagnose_session_folder(two_clips, tmp_path, (*SMALL_SESSION, *small))
+    hidden = GapReport.read(tmp_path / DIAGNOSIS_FILE)
+    assert hidden.session is not None
+    assert hidden.session.covered == {"first": Covered(0.3, 1, 2), "second": Covered(0.3, 1, 2)}
+    assert hidden.session.resized == {}
+    assert hidden.verdict.effect == "unknown"
+    assert "leave out what passes before the cloth" in hidden.verdict.next_recording
+    assert hidden.session.next_clip == ""
     times = read_times(tmp_path / TIMES_FILE)
     assert all(stage.cached for stage in times.values())
 

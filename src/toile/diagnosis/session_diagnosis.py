@@ -103,6 +103,8 @@ _COVERED = (
     "Something seems to pass before the cloth that the masks take for cloth: there the cloth's print is gone."
 )
 
+_UNCOVERED = "the same clip with masks that leave out what passes before the cloth, or one without it"
+
 _FEWEST = 24
 """Frames of a clip that the learned decision looks at."""
 
@@ -476,6 +478,9 @@ def _report(
         if gain >= _LEAST_GAIN:
             following = best
             verdict = replace(verdict, next_recording=f"another clip, {best}: {MOTIONS[best]}")
+    if verdict.effect == UNKNOWN and found.covered and not found.resized:
+        # Another motion would not take it away.
+        following, verdict = "", replace(verdict, next_recording=_UNCOVERED)
     mean = np.concatenate(distances).mean((1, 2))
     drops = {**image_evidence, **evidence.drops}
     # What may be moving the cloth, even where that may as well be nothing.
