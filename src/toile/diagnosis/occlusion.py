@@ -3,7 +3,8 @@
 A mask that follows an outline does not know of a hand or a pole in front. No motion, no light and no camera
 takes a print away where the cloth is seen: it moves by what tracking errs, becomes brighter or darker, and is
 smeared. So every patch of the cloth is compared with that of the first frame, a little aside as well and
-blurred as well, brightness left free: how much of that patch's print is there at least?
+blurred as well, brightness left free: how much of that patch's print is there at least? What is in front must
+be plain: something with a print of its own is like that of the cloth somewhere.
 """
 
 from __future__ import annotations
