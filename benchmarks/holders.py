@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -51,6 +51,10 @@ RESIZED = "shrinking"
 """The effect that changes lengths while it is filmed."""
 SHARE = 0.05
 """Sessions of one cause among all: as many as of any of ten causes, and none as many as all."""
+
+
+NAMES = ("resized", "resizing", "slip_threshold", "slip_temperature")
+"""Of the weights."""
 
 
 @dataclass(frozen=True)
@@ -138,6 +142,15 @@ def _row(session: str, engine: str, cause: str, size: float, seen: Seen) -> dict
     }
 
 
+def updated(path: Path, rows: Sequence[Mapping[str, object]]) -> pd.DataFrame:
+    """A table of sessions with new rows, in its file as well."""
+    table = pd.read_csv(path) if path.is_file() else pd.DataFrame()
+    if rows:
+        write_text(path, added(table, pd.DataFrame(rows)).to_csv(index=False, float_format="%.4g"))
+        table = pd.read_csv(path)
+    return table
+
+
 def added(table: pd.DataFrame, new: pd.DataFrame) -> pd.DataFrame:
     """The table with new rows; sessions that are in both have the new one."""
     before = table[~table["session"].isin(new["session"])] if len(table) else table
@@ -199,19 +212,19 @@ def chance_of_slip(nats: float, weights: SessionWeights) -> float:
     return float(expit((nats - weights.slip_threshold) / weights.slip_temperature))
 
 
-def with_weights(source: str, weights: SessionWeights, table: pd.DataFrame) -> tuple[SessionWeights, str]:
-    """The package's weights with the four of them, and what they are from.
+def ship(weights: SessionWeights, names: Sequence[str], sessions: int, page: str) -> None:
+    """Give the package some weights, and say what they are from.
 
     Args:
-        source: of the weights so far.
         weights: learnt.
-        table: of the sessions that taught.
+        names: of those.
+        sessions: that taught them.
+        page: on which these are.
     """
-    names = ("resized", "resizing", "slip_threshold", "slip_temperature")
     shipped = replace(SessionWeights.load(), **{name: getattr(weights, name) for name in names})
-    before = [part for part in source.split("; ") if not part.startswith("resized")]
-    added = f"{', '.join(names)}: {len(table)} sessions of docs/results/holders.md"
-    return shipped, "; ".join((*before, added))
+    source = str(json.loads(SHIPPED.read_text())["source"])
+    before = [part for part in source.split("; ") if not part.startswith(names[0])]
+    shipped.write(SHIPPED, "; ".join((*before, f"{', '.join(names)}: {sessions} sessions of {page}")))
 
 
 def by_others(table: pd.DataFrame) -> pd.DataFrame:
@@ -270,15 +283,10 @@ def main() -> None:
     for one in given.graded:
         folder, _, marks = str(one).partition("=")
         rows += of_graded(Path(folder), pd.read_csv(marks, keep_default_na=False, na_values=[""]), measure)
-    table = pd.read_csv(TABLE) if TABLE.is_file() else pd.DataFrame()
-    if rows:
-        table = added(table, pd.DataFrame(rows))
-        write_text(TABLE, table.to_csv(index=False, float_format="%.4g"))
-        table = pd.read_csv(TABLE)
+    table = updated(TABLE, rows)
     teaching = table[table["engine"] != NEVER_LEARNT_FROM]
     weights = learnt(teaching)
-    shipped, source = with_weights(json.loads(SHIPPED.read_text())["source"], weights, teaching)
-    shipped.write(SHIPPED, source)
+    ship(weights, NAMES, len(teaching), "docs/results/holders.md")
     text = page(table, weights)
     write_text(RESULTS / "holders.md", text)
     print(text)

@@ -13,14 +13,13 @@ Sessions of the engine that is for sealed sets alone never teach.
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from holders import SHARE, added, parted
+from holders import SHARE, parted, ship, updated
 from opened_session import opened
 from scipy.special import expit
 from session_ladder import BLENDER, cause_of, made
@@ -30,15 +29,17 @@ from toile.atomic_file import write_text
 from toile.cli.configuration import register_resolvers
 from toile.denormals import denormals_flushed
 from toile.diagnosis.session_diagnosis import hidden_in
-from toile.diagnosis.session_weights import SHIPPED, SessionWeights
+from toile.diagnosis.session_weights import SessionWeights
 from toile.generation.clip_plan import DEFAULT_CLIPS
+from toile.generation.out_of_family.making import size_of
+from toile.generation.out_of_family.outside import Occluder
 
 RESULTS = Path("docs") / "results"
 TABLE = RESULTS / "occlusion.csv"
 KEPT = Path("outputs") / "occlusion"
 """Where clips are tracked."""
 HIDDEN = "hidden [%]"
-COVERED = "unmasked_occluder"
+COVERED = Occluder.NAME
 """The effect that passes before the cloth."""
 
 
@@ -73,6 +74,9 @@ def of_graded(name: str, marks: pd.DataFrame) -> list[dict[str, object]]:
 
 
 def _row(session: str, engine: str, cause: str, size: float, seen: float) -> dict[str, object]:
+    if cause == COVERED:
+        # Asked for as an effect on the motion is, made as large by its own levels.
+        size = size_of(Occluder, size)
     return {"session": session, "engine": engine, "cause": cause, "size [%]": size, HIDDEN: 100 * seen}
 
 
@@ -89,20 +93,6 @@ def chance(percent: float, weights: SessionWeights) -> float:
     """Probability that something passes before the cloth."""
     share = max(percent / 100, 1e-4)
     return float(expit(weights.covering * np.log(share / weights.covered)))
-
-
-def with_weights(source: str, weights: SessionWeights, table: pd.DataFrame) -> tuple[SessionWeights, str]:
-    """The package's weights with the two of them, and what they are from.
-
-    Args:
-        source: of the weights so far.
-        weights: learnt.
-        table: of the sessions that taught.
-    """
-    shipped = replace(SessionWeights.load(), covered=weights.covered, covering=weights.covering)
-    before = [part for part in source.split("; ") if not part.startswith("covered")]
-    own = f"covered, covering: {len(table)} sessions of docs/results/occlusion.md"
-    return shipped, "; ".join((*before, own))
 
 
 def by_others(table: pd.DataFrame) -> pd.DataFrame:
@@ -127,7 +117,7 @@ def page(table: pd.DataFrame, weights: SessionWeights) -> str:
         f"{len(table)} sessions with open labels. The share of the cloth's print that is gone "
         "(diagnosis/occlusion.py) for a while, in the frame in which most is, at the tracked positions. "
         f"Probabilities by weights that the session had no part in; {NEVER_LEARNT_FROM} never teaches. Size: "
-        "of an occluder in % of the cloth's picture, of other effects as they are asked for.",
+        "of an occluder the part of the cloth that it covers, of other effects as they are asked for.",
         "",
         f"Shipped: `covered` {weights.covered:.4f}, `covering` {weights.covering:.2f}, from {len(teaching)} "
         f"sessions, {int((teaching['cause'] == COVERED).sum())} of them with an occluder, where "
@@ -150,15 +140,10 @@ def main() -> None:
     for one in given.graded:
         name, _, marks = str(one).partition("=")
         rows += of_graded(name, pd.read_csv(marks, keep_default_na=False, na_values=[""]))
-    table = pd.read_csv(TABLE, keep_default_na=False) if TABLE.is_file() else pd.DataFrame()
-    if rows:
-        table = added(table, pd.DataFrame(rows))
-        write_text(TABLE, table.to_csv(index=False, float_format="%.4g"))
-        table = pd.read_csv(TABLE, keep_default_na=False)
+    table = updated(TABLE, rows)
     teaching = table[table["engine"] != NEVER_LEARNT_FROM]
     weights = learnt(teaching)
-    shipped, source = with_weights(json.loads(SHIPPED.read_text())["source"], weights, teaching)
-    shipped.write(SHIPPED, source)
+    ship(weights, ("covered", "covering"), len(teaching), "docs/results/occlusion.md")
     text = page(table, weights)
     write_text(RESULTS / "occlusion.md", text)
     print(text)

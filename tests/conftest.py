@@ -142,17 +142,15 @@ def curved_sheet() -> CurvedSheet:
     return CurvedSheet(Camera(fx=420.0, fy=410.0, cx=163.0, cy=117.5, height=240, width=320))
 
 
-@pytest.fixture(scope="session")
-def swaying_scene() -> Scene:
-    """An 8×8 cloth in the wind, simulated and rendered: 5 frames of 64×64 px that a fit can explain."""
+def _swaying(pixels: int) -> Scene:
     settings = GeneratorSettings(
         name="swaying",
         grid=(8, 8),
         refinement=1,
         substeps=4,
         n_frames=5,
-        image_size=(64, 64),
-        focal_length=96.0,
+        image_size=(pixels, pixels),
+        focal_length=1.5 * pixels,
         # Written out, because tolerances of tests were measured on this motion.
         cloth_size=(0.6, 0.6),
         bending=2.0,
@@ -161,4 +159,16 @@ def swaying_scene() -> Scene:
         pinned_distance=0.96,
         distance=1.1,
     )
-    return generate(settings, procedural_texture(128, 128, seed=0))[0]
+    return generate(settings, procedural_texture(2 * pixels, 2 * pixels, seed=0))[0]
+
+
+@pytest.fixture(scope="session")
+def swaying_scene() -> Scene:
+    """An 8×8 cloth in the wind, simulated and rendered: 5 frames of 64×64 px that a fit can explain."""
+    return _swaying(64)
+
+
+@pytest.fixture(scope="session")
+def sharp_swaying_scene() -> Scene:
+    """The same in frames of 192×192 px, in which its print is seen."""
+    return _swaying(192)

@@ -88,5 +88,5 @@ def test_the_package_has_what_the_table_says(program: ModuleType) -> None:
     table = pd.read_csv(ROOT / "docs" / "results" / "holders.csv")
     learnt = program.learnt(table[table["engine"] != program.NEVER_LEARNT_FROM])
     shipped = SessionWeights.load()
-    for name in ("resized", "resizing", "slip_threshold", "slip_temperature"):
+    for name in program.NAMES:
         assert getattr(shipped, name) == pytest.approx(getattr(learnt, name), rel=1e-6)

@@ -25,21 +25,23 @@ AREAL_DENSITY = 0.15
 
 @pytest.fixture
 def problem(swaying_scene: Scene) -> Callable[..., Reconstruction]:
-    """Makes the same problem anew each time, with rest lengths and shearing stiffness as asked for."""
+    """Makes the same problem anew each time: rest lengths, shearing stiffness and scene as asked for."""
 
-    def make(rest_lengths: RestLengths = template, shearing: float = 8.0) -> Reconstruction:
-        cloth = scene_cloth(swaying_scene, AREAL_DENSITY, rest_lengths)
+    def make(
+        rest_lengths: RestLengths = template, shearing: float = 8.0, scene: Scene = swaying_scene
+    ) -> Reconstruction:
+        cloth = scene_cloth(scene, AREAL_DENSITY, rest_lengths)
         parameters = ClothParameters(
-            swaying_scene.n_frames,
+            scene.n_frames,
             cloth.n_vertices,
             len(cloth.pinned),
-            scene_units(swaying_scene, AREAL_DENSITY),
+            scene_units(scene, AREAL_DENSITY),
             stretching=3000.0,
             shearing=shearing,
             bending=0.5,
         )
         return Reconstruction(
-            swaying_scene,
+            scene,
             cloth,
             lambda cloth, step: ImplicitSimulator(cloth, step, BDF2(), NewtonSettings()),
             2,

@@ -11,9 +11,9 @@ from typing import Annotated
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter, map_coordinates
 
 from toile.diagnosis.effect_sensitivities import derivatives
+from toile.diagnosis.masked_blur import blurred_at
 from toile.effects.base import BrightnessEffect, Effect
 from toile.geometry.mesh import grid_faces, vertex_normals
 from toile.limits import Count, Fraction, NonNegative, Positive, Unit
@@ -88,11 +88,8 @@ def measured_brightness(
     masks = scene.masks[: len(positions)].numpy().astype(np.float64)
     smooth: Array = np.empty(shown.shape)
     for f in range(len(grey)):
-        where = [pixels[f, :, 1] - 0.5, pixels[f, :, 0] - 0.5]
-        weight = gaussian_filter(masks[f], settings.smoothing)
-        blurred = gaussian_filter(grey[f] * masks[f], settings.smoothing) / np.maximum(weight, 1e-3)
-        smooth[f] = map_coordinates(blurred, where, order=1, mode="nearest")
-        shown[f] &= map_coordinates(weight, where, order=1, mode="nearest") > settings.inside
+        smooth[f], inside = blurred_at(grey[f], masks[f], pixels[f], settings.smoothing)
+        shown[f] &= inside > settings.inside
     shown &= shown[:1]
     patch = lambda a: a.reshape(len(a), m, n // m, m, n // m, *a.shape[2:])  # noqa: E731
     weight = patch(shown.astype(np.float64))

@@ -17,8 +17,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from pydantic import Field
-from scipy.ndimage import binary_opening, gaussian_filter, map_coordinates, median_filter, uniform_filter
+from scipy.ndimage import binary_opening, median_filter, uniform_filter
 
+from toile.diagnosis.masked_blur import blurred_at
 from toile.limits import Count, CountOrZero, Fraction, Positive, TwoOrMore, Unit
 from toile.reconstruction.image_terms.texture_points import grid_points, visible
 from toile.reconstruction.problem import Reconstruction
@@ -124,14 +125,11 @@ def _colours(scene: Scene, pixels: Array, blur: float) -> tuple[Array, Flags]:
     """Colours of the cloth at pixels (F, P, 2), blurred within the mask (F, P, 3), and which count (F, P)."""
     colours, inside = np.empty((*pixels.shape[:2], 3)), np.empty(pixels.shape[:2], bool)
     for f, at in enumerate(pixels):
-        where = [at[:, 1] - 0.5, at[:, 0] - 0.5]
         mask = scene.masks[f].numpy().astype(np.float64)
         frame = scene.frames[f].numpy().astype(np.float64)
-        weight = gaussian_filter(mask, blur)
         for k in range(3):
-            smooth = gaussian_filter(frame[..., k] * mask, blur) / np.maximum(weight, 1e-3)
-            colours[f, :, k] = map_coordinates(smooth, where, order=1, mode="nearest")
-        inside[f] = map_coordinates(weight, where, order=1, mode="nearest") > _INSIDE
+            colours[f, :, k], share = blurred_at(frame[..., k], mask, at, blur)
+        inside[f] = share > _INSIDE
     return colours, inside
 
 
