@@ -67,7 +67,8 @@ def of_graded(name: str, marks: pd.DataFrame) -> list[dict[str, object]]:
     rows = []
     for mark in marks.drop_duplicates("scene").itertuples():
         seen = hidden(Path("outputs") / "blind" / name / "scenes" / str(mark.scene))
-        size = float(str(mark.asked_percent))
+        # Of a null nothing is asked.
+        size = float(np.nan_to_num(float(str(mark.asked_percent))))
         rows.append(_row(str(mark.scene), str(mark.generator), str(mark.truth), size, seen))
         print(rows[-1], flush=True)
     return rows
