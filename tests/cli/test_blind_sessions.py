@@ -205,3 +205,22 @@ def test_mistakes(blind) -> None:
     status, _, err = blind("run", "composition=tiny", "one_clip=true")
     assert status == 2
     assert "several clips" in err
+
+
+@pytest.mark.parametrize("setting", ["clips=[release]", "generators=[mujoco]"])
+@pytest.mark.parametrize("action", ["make", "run", "extend"])
+def test_a_set_of_other_sessions_is_not_gone_on_with(blind, action: str, setting: str) -> None:
+    before = BlindSet(SET).description.read_text()
+    status, _, err = blind(action, setting)
+    assert status == 2
+    assert "made with another setting" in err
+    assert setting.partition("=")[0] in err
+    assert BlindSet(SET).description.read_text() == before
+    assert not PREDICTIONS.exists()
+
+
+def test_generators_are_known(toile) -> None:
+    status, _, err = toile("blind", "make", *SMALL, "name=mine", "generators=[houdini]")
+    assert status == 2
+    assert "toile, blender, mujoco" in err
+    assert "houdini" in err

@@ -82,6 +82,7 @@ def test_another_name_of_a_setting() -> None:
     assert "set=" in candidates(["blind", "make", "se"])
     assert candidates(["blind", "make", "set=sess"]) == [
         "set=sessions",
+        "set=sessions_effects",
         "set=sessions_medium",
         "set=sessions_outside",
         "set=sessions_short",

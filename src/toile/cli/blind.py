@@ -101,6 +101,8 @@ def run(cfg: DictConfig) -> None:
             expected=f"{len(blind.names())}, or toile blind make with the same first=",
             got=str(cfg.first),
         )
+    if blind.description.is_file():
+        _check_asked(cfg, blind)
     actions[action](cfg, blind)
 
 
@@ -338,6 +340,7 @@ def _describe(
         "version": __version__,
         "composition": str(cfg.composition),
         "out_of_family": _plain(cfg.out_of_family),
+        **_asked(cfg),
         "blind": cfg.seed is None,
         "key": key.fingerprint,
         "notes": notes,
@@ -358,6 +361,28 @@ def _describe(
             return
         # The same set with another first=: its scenes are in the order of their names, so they stay.
     write_text(blind.description, json.dumps(values, indent=1) + "\n")
+
+
+def _asked(cfg: DictConfig) -> dict[str, Any]:
+    """What sessions were asked for beside the composition; plans of sets and answers depend on it."""
+    if str(cfg.composition) not in SESSIONS:
+        return {}
+    generators = None if cfg.generators is None else [str(name) for name in cfg.generators]
+    return {"clips": [str(motion) for motion in cfg.clips], "generators": generators}
+
+
+def _check_asked(cfg: DictConfig, blind: BlindSet) -> None:
+    """Refuse to go on with a set of other sessions: of one clip where it has three, or by other engines."""
+    before = blind.read_description()
+    for name, got in _asked(cfg).items():
+        # Sets made before this was kept say nothing of it.
+        if name in before and before[name] != got:
+            raise InputError(
+                "The set was made with another setting",
+                where=name,
+                expected=f"{name}={json.dumps(before[name])}, as in {blind.description}",
+                got=json.dumps(got),
+            )
 
 
 def _plain(node: DictConfig) -> dict[str, Any]:

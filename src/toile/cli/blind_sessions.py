@@ -37,6 +37,7 @@ from toile.generation.out_of_family.session_set import (
     PlannedSession,
     SessionComposition,
     Sized,
+    effects_sessions_composition,
     medium_sessions_composition,
     outside_sessions_composition,
     plan_sessions,
@@ -51,6 +52,7 @@ from toile.scenes.session import SESSION_FILE, Session, SessionClip, load_sessio
 
 COMPOSITIONS: dict[str, Callable[[], SessionComposition]] = {
     "sessions": sessions_composition,
+    "sessions_effects": effects_sessions_composition,
     "sessions_medium": medium_sessions_composition,
     "sessions_outside": outside_sessions_composition,
     "sessions_tiny": tiny_sessions_composition,
@@ -60,11 +62,15 @@ EXTENDED = "extended"
 NEXT_CLIP = "clip_next"
 """Folder of that clip."""
 _OTHER_ENGINES = {"blender": "Blender", "mujoco": "MuJoCo"}
+GENERATORS = ("toile", *_OTHER_ENGINES)
+"""Who can make sessions."""
 
 
 def planned_sessions(cfg: DictConfig, key: SealKey) -> tuple[tuple[PlannedSession, ...], list[str]]:
     """The sessions of a set, each by an engine that is there, and notes on those that are not."""
     composition = COMPOSITIONS[str(cfg.composition)]()
+    if cfg.generators is not None:
+        composition = replace(composition, generators=_generators(cfg.generators))
     sessions = plan_sessions(composition, key.derive, clips_of(cfg), _can_make)
     notes = []
     absent = {}
@@ -78,6 +84,15 @@ def planned_sessions(cfg: DictConfig, key: SealKey) -> tuple[tuple[PlannedSessio
                 f"{reason}"
             )
     return tuple(replace(s, generator="toile") if s.generator in absent else s for s in sessions), notes
+
+
+def _generators(names: Sequence[str]) -> tuple[str, ...]:
+    """Generators that share a set, by name."""
+    if not names or not set(names) <= set(GENERATORS):
+        raise InputError(
+            "No such generators", where="generators", expected=", ".join(GENERATORS), got=str(list(names))
+        )
+    return tuple(names)
 
 
 def clips_of(cfg: DictConfig) -> tuple[ClipPlan, ...]:

@@ -92,6 +92,12 @@ def medium_sessions_composition() -> SessionComposition:
     return SessionComposition(len(singles) // 3, singles, 0, 0, outside, ("toile", "blender", "mujoco"))
 
 
+def effects_sessions_composition() -> SessionComposition:
+    """Every effect that moves the cloth once, of 3 %, and nothing else: for the rate of naming them."""
+    singles = tuple((name, _MEDIUM) for name in MOVING)
+    return SessionComposition(0, singles, 0, 0, (), ("toile", "blender", "mujoco"))
+
+
 def tiny_sessions_composition() -> SessionComposition:
     """Three sessions: none, one of the catalogue, one from outside."""
     return SessionComposition(1, (("gusts", _LARGE),), 0, 0, (("vortex_field", _LARGE),))

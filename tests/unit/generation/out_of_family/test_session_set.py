@@ -12,6 +12,7 @@ from toile.generation.out_of_family.session_set import (
     MOVING,
     PlannedSession,
     Sized,
+    effects_sessions_composition,
     medium_sessions_composition,
     outside_sessions_composition,
     plan_sessions,
@@ -38,6 +39,9 @@ def test_the_composition() -> None:
     assert {name for name, _ in medium.singles} == set(MOVING)
     assert {size for _, size in medium.singles} == {3.0}
     assert medium.nulls >= len(MOVING) / 4
+    effects = effects_sessions_composition()
+    assert effects.singles == medium.singles
+    assert effects.size == len(MOVING)
     asked = outside_sessions_composition()
     assert asked.size == 12
     assert asked.nulls == 4
