@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import time
 from collections.abc import Callable, Iterator, Sequence
 from threading import Thread
 from types import TracebackType
@@ -12,6 +13,7 @@ from typing import Generic, TypeVar
 from joblib import Parallel, delayed
 
 from toile.denormals import denormals_flushed, flushing
+from toile.shared_arrays import folder_of_arrays
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -32,7 +34,13 @@ class Workers:
             None
             if count == 1
             else Parallel(
-                count, return_as="generator", max_nbytes=_SHARED, mmap_mode="c", inner_max_num_threads=1
+                count,
+                return_as="generator",
+                max_nbytes=_SHARED,
+                mmap_mode="c",
+                temp_folder=str(folder_of_arrays()),
+                inner_max_num_threads=1,
+                initializer=end_with_parent,
             )
         )
 
@@ -85,15 +93,20 @@ ALONE = Workers(1)
 def end_with_parent() -> None:
     """Let this process end when the one that started it is gone, killed or not.
 
-    An initializer for pools: a worker looks for its parent only between two pieces of work, and those of a
-    diagnosis take minutes.
+    An initializer for processes that share work: such a process looks for its parent only between two pieces
+    of work, and those of a diagnosis take minutes.
     """
     parent = multiprocessing.parent_process()
     if parent is None:
         return
 
     def watch() -> None:
-        parent.join()
+        try:
+            parent.join()
+        except ValueError:
+            # joblib's processes have nothing to wait for; an orphan has another parent.
+            while os.getppid() == parent.pid:
+                time.sleep(1)
         os._exit(1)
 
     Thread(target=watch, name="end_with_parent", daemon=True).start()

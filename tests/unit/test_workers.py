@@ -13,8 +13,8 @@ import pytest
 
 from toile.workers import Workers
 
-PARENT = """
-import sys, time
+POOL = """
+import time
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from toile.workers import end_with_parent
@@ -25,6 +25,17 @@ if __name__ == "__main__":
         pool.submit(time.sleep, 600).result()
 """
 
+WORKERS = """
+import time
+from toile.workers import Workers
+
+if __name__ == "__main__":
+    with Workers(2) as workers:
+        child, _ = workers.map(eval, ["__import__('os').getpid()"] * 2)
+        print(child, flush=True)
+        list(workers.map(time.sleep, [600, 600]))
+"""
+
 
 def test_results_come_in_the_order_of_the_items() -> None:
     with Workers(2) as workers:
@@ -32,10 +43,11 @@ def test_results_come_in_the_order_of_the_items() -> None:
 
 
 @pytest.mark.skipif(os.name != "posix", reason="kills a process")
-def test_a_worker_ends_when_its_parent_is_killed(tmp_path: Path) -> None:
+@pytest.mark.parametrize("program", [POOL, WORKERS], ids=["pool", "workers"])
+def test_a_worker_ends_when_its_parent_is_killed(tmp_path: Path, program: str) -> None:
     """A diagnosis whose command was killed went on for minutes, and answered a scene."""
     script = tmp_path / "parent.py"
-    script.write_text(PARENT)
+    script.write_text(program)
     with subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE, text=True) as parent:
         assert parent.stdout is not None
         child = int(parent.stdout.readline())
