@@ -271,7 +271,7 @@ blind: setup ## Make scenes with sealed labels, diagnose them, open the labels: 
 	$(if $(filter standard,$(BLIND)),$(BIN)/python benchmarks/blind_results.py $(BLIND_NAME))
 
 SESSIONS ?= sessions
-SESSIONS_TABLE = $(if $(filter sessions sessions_short,$(SESSIONS)),table=docs/results/blind_$(SESSIONS).csv)
+SESSIONS_TABLE = $(if $(filter sessions sessions_short,$(SESSIONS)),table=docs/results/blind_$(SESSIONS:sessions=sessions_sixty).csv)
 
 .PHONY: blind-sessions
 blind-sessions: setup ## The same with sessions of several clips: three clips, one alone, one more as asked for; resumes

@@ -1,9 +1,11 @@
-"""All sealed sessions so far in one table: docs/results/blind_sessions_pooled.md and .csv.
+"""All sealed sessions so far, and those by the present method, in one table each.
 
     make blind-sessions-pooled
 
-Reads the marks of every graded set (``docs/results/blind_sessions*_marks.csv``). Every session was answered
-blind, each by the version of its day: sets of few sessions say little one by one, and the versions differ.
+Writes docs/results/blind_sessions_pooled.md and .csv, the record, and blind_sessions.md and .csv, a
+measurement of one method by the sets in ``PRESENT``. Reads the marks of every graded set
+(``docs/results/blind_sessions_*_marks.csv``). Every session was answered blind, each by the version of its
+day: sets of few sessions say little one by one, and the versions differ.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ from toile.blind.session_measures import measured_sessions, with_intervals
 
 RESULTS = Path("docs") / "results"
 STEM = "blind_sessions_pooled"
+PRESENT_STEM = "blind_sessions"
 SUFFIX = "_marks.csv"
 SCENE = "1, as a scene"
 """How marks call answers of the method of single clips."""
@@ -39,6 +42,8 @@ LATEST = (
     "twelfth_medium",
 )
 """Sets answered since what the catalogue lacks has stand-ins, and contact is a candidate."""
+PRESENT = ("twelfth_medium",)
+"""Those of them answered by one method: to be emptied by whatever changes the evidence or its weights."""
 MEASURES = (
     "named rightly, effects of 3 % and more",
     "named rightly, all effects that move",
@@ -69,10 +74,10 @@ def marks(folder: Path = RESULTS) -> pd.DataFrame:
         ValueError: a session was answered in two sets.
     """
     found = []
-    for path in sorted(folder.glob(f"blind_sessions*{SUFFIX}")):
+    for path in sorted(folder.glob(f"{PRESENT_STEM}_*{SUFFIX}")):
         # "null" is a kind of session here.
         own = pd.read_csv(path, keep_default_na=False, na_values=[""])
-        name = path.name.removeprefix("blind_sessions").removesuffix(SUFFIX).lstrip("_")
+        name = path.name.removeprefix(f"{PRESENT_STEM}_").removesuffix(SUFFIX)
         own = own.assign(clips=own["clips"].astype(str))
         version = BEFORE if name in EARLIER else NOW if name in LATEST else SINCE
         found.append(own.assign(set=name, version=version))
@@ -97,26 +102,27 @@ def pooled(every: pd.DataFrame) -> pd.DataFrame:
     return pd.concat(tables, ignore_index=True)
 
 
+def present(every: pd.DataFrame) -> pd.DataFrame:
+    """The measures over the sets that the present method has answered."""
+    own = every[every["set"].isin(PRESENT) & (every["clips"] != SCENE)]
+    return measured_sessions(
+        own.sort_values("clips", ascending=False, kind="stable"), resamplings=2000, seed=0
+    )
+
+
 def markdown(table: pd.DataFrame, every: pd.DataFrame) -> str:
-    """The page."""
-    shown = table[table["measure"].isin(MEASURES) & (table["scenes"] > 0)].copy()
-    shown["cell"] = with_intervals(shown)
-    parts = []
-    for (version, clips), rows in shown.groupby(["version", "clips"], sort=False):
-        wide = rows.pivot(index="measure", columns="generator", values="cell").fillna("–")
-        order = [name for name in MEASURES if name in wide.index]
-        title = f"## {_clips(str(clips))}, {version}"
-        parts.append(f"{title}\n\n" + wide.loc[order, list(dict.fromkeys(rows["generator"]))].to_markdown())
+    """The page of the record."""
+    parts = [_section(rows, f", {version}") for version, rows in table.groupby("version", sort=False)]
     own = every[every["clips"] != SCENE]
-    counts = own.groupby("set", sort=False)["scene"].nunique()
-    sets = ", ".join(f"{_set(str(name))} ({n})" for name, n in counts.items())
+    sets = f"{own['set'].nunique()} sets: {_sets(own)}"
     return "\n\n".join(
         (
             "# All sealed sessions so far",
-            f"Made by `make blind-sessions-pooled` from the marks of {counts.size} sets: {sets}. Each "
-            "session was answered before its label was opened, by the version of its day; versions differ, "
-            "and each set has taught those after it, so this is a record and no measurement of one method. "
-            "Value [95 % interval], sessions. With few sessions the calibration error comes out too large.",
+            f"Made by `make blind-sessions-pooled` from the marks of {sets}. Each session was "
+            "answered before its label was opened, by the version of its day; versions differ, and each set "
+            "has taught those after it, so this is a record and no measurement of one "
+            f"method ([that]({PRESENT_STEM}.md)). Value [95 % interval], sessions. With few sessions the "
+            "calibration error comes out too large.",
             aims_section(table[table["version"] == NOW], f"Against the aims, {NOW}"),
             *parts,
             "",
@@ -124,22 +130,61 @@ def markdown(table: pd.DataFrame, every: pd.DataFrame) -> str:
     )
 
 
+def present_page(table: pd.DataFrame, every: pd.DataFrame) -> str:
+    """The page of the present method."""
+    own = every[every["set"].isin(PRESENT) & (every["clips"] != SCENE)]
+    return "\n\n".join(
+        (
+            "# Sealed sessions by the present method",
+            f"Made by `make blind-sessions-pooled` from the marks of {_sets(own)}: what has been answered "
+            "since the evidence of motion and its weights are what they are now, every session before its "
+            f"label was opened. All versions: [the record]({STEM}.md). Value [95 % interval], sessions. "
+            "With few sessions the calibration error comes out too large.",
+            aims_section(table),
+            _section(table, ""),
+            "",
+        )
+    )
+
+
+def _section(table: pd.DataFrame, of: str) -> str:
+    """Measures by generator, for every number of clips."""
+    shown = table[table["measure"].isin(MEASURES) & (table["scenes"] > 0)].copy()
+    shown["cell"] = with_intervals(shown)
+    parts = []
+    for clips, rows in shown.groupby("clips", sort=False):
+        wide = rows.pivot(index="measure", columns="generator", values="cell").fillna("–")
+        order = [name for name in MEASURES if name in wide.index]
+        columns = list(dict.fromkeys(rows["generator"]))
+        parts.append(f"## {_clips(str(clips))}{of}\n\n" + wide.loc[order, columns].to_markdown())
+    return "\n\n".join(parts)
+
+
+def _sets(own: pd.DataFrame) -> str:
+    """Sets with their pages and numbers of sessions."""
+    counts = own.groupby("set", sort=False)["scene"].nunique()
+    return ", ".join(f"{_set(str(name))} ({n})" for name, n in counts.items())
+
+
 def _clips(number: str) -> str:
     return "One clip" if number == "1" else f"{number} clips"
 
 
 def _set(name: str) -> str:
-    stem = f"blind_sessions_{name}" if name else "blind_sessions"
-    return f"[{name.replace('_', ' ') or 'the last'}]({stem}.md)"
+    return f"[{name.replace('_', ' ')}]({PRESENT_STEM}_{name}.md)"
 
 
-def write(folder: Path = RESULTS) -> Path:
-    """Write the table and the page, and return the path of that."""
+def write(folder: Path = RESULTS) -> tuple[Path, Path]:
+    """Write both tables and pages; returns the paths of the pages."""
     every = marks(folder)
-    table = pooled(every)
-    write_text(folder / f"{STEM}.csv", table.to_csv(index=False, float_format="%.6g"))
-    return write_text(folder / f"{STEM}.md", markdown(table, every))
+    record, measured = pooled(every), present(every)
+    texts = {STEM: (record, markdown(record, every)), PRESENT_STEM: (measured, present_page(measured, every))}
+    for stem, (table, _) in texts.items():
+        write_text(folder / f"{stem}.csv", table.to_csv(index=False, float_format="%.6g"))
+    pages = [write_text(folder / f"{stem}.md", text) for stem, (_, text) in texts.items()]
+    return pages[0], pages[1]
 
 
 if __name__ == "__main__":
-    print(write().read_text())
+    for path in write():
+        print(path.read_text())

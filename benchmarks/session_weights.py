@@ -129,7 +129,7 @@ def graded_evidence(folder: Path, marks: pd.DataFrame, rung: str = REFINED) -> p
 
     Args:
         folder: of diagnoses, every session in a folder of its own.
-        marks: of all sessions, see docs/results/blind_sessions_marks.csv.
+        marks: of all sessions, see docs/results/blind_sessions_seven_marks.csv.
         rung: which clips they are from.
     """
     rows: list[dict[str, object]] = []

@@ -7,6 +7,7 @@ import shutil
 from pathlib import Path
 from types import ModuleType
 
+import pandas as pd
 import pytest
 
 ROOT = Path(__file__).parents[2]
@@ -35,9 +36,9 @@ def test_every_set_counts_once_and_nulls_are_no_missing_values(pooled: ModuleTyp
     assert table[pooled.BEFORE, "1", "all", nulls] == 2
     assert table[pooled.SINCE, "3", "all", nulls] == 3
     assert not any(clips == pooled.SCENE for _, clips, _, _ in table.index)
-    page = pooled.write(tmp_path).read_text()
-    assert "[four](blind_sessions_four.md) (4)" in page
-    assert "nan" not in page
+    record, _ = (page.read_text() for page in pooled.write(tmp_path))
+    assert "[four](blind_sessions_four.md) (4)" in record
+    assert "nan" not in record
 
 
 def test_a_session_in_two_sets_is_refused(pooled: ModuleType, tmp_path: Path) -> None:
@@ -48,6 +49,23 @@ def test_a_session_in_two_sets_is_refused(pooled: ModuleType, tmp_path: Path) ->
         pooled.marks(tmp_path)
 
 
+def test_the_present_method_is_measured_by_its_own_sets(
+    pooled: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("_four", "_second_four"):
+        shutil.copy(RESULTS / f"blind_sessions{name}_marks.csv", tmp_path)
+    monkeypatch.setattr(pooled, "PRESENT", ("second_four",))
+    _, page = pooled.write(tmp_path)
+    assert page == tmp_path / "blind_sessions.md"
+    assert "[four]" not in page.read_text()
+    table = pd.read_csv(tmp_path / "blind_sessions.csv")
+    assert list(table) == ["measure", "generator", "clips", "value", "low", "high", "scenes"]
+    nulls = table[(table["measure"] == "false alarms on nulls") & (table["generator"] == "all")]
+    assert nulls[["clips", "scenes"]].to_numpy().tolist() == [[3, 3]]
+
+
 def test_the_committed_page_is_that_of_the_committed_marks(pooled: ModuleType) -> None:
     every = pooled.marks(RESULTS)
     assert (RESULTS / "blind_sessions_pooled.md").read_text() == pooled.markdown(pooled.pooled(every), every)
+    present = pooled.present_page(pooled.present(every), every)
+    assert (RESULTS / "blind_sessions.md").read_text() == present
