@@ -38,6 +38,8 @@ class Workers:
                 return_as="generator",
                 max_nbytes=_SHARED,
                 mmap_mode="c",
+                # What is handed out while a failed call is given up turns up among the next one's results.
+                pre_dispatch="all",
                 temp_folder=str(folder_of_arrays()),
                 inner_max_num_threads=1,
                 initializer=end_with_parent,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
@@ -186,6 +187,24 @@ def test_what_cannot_be_made_gives_way_to_what_tells_less(blind, monkeypatch: py
     assert blind("run").status == 0
     assert "3 of 3 sessions" in blind("extend").out
     assert set(tried) == {"sway", "hang"}
+
+
+def test_the_engine_that_made_a_cloth_extends_it(blind, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever is wanted, or installed, by then: another one has no cloth like it."""
+    from toile.cli import blind_sessions
+
+    original = blind_sessions.planned_sessions
+
+    def by_mujoco(cfg, key):
+        sessions, notes = original(cfg, key)
+        return tuple(replace(session, generator="mujoco") for session in sessions), notes
+
+    monkeypatch.setattr(blind_sessions, "planned_sessions", by_mujoco)
+    monkeypatch.setattr(blind_sessions, "make_spare_clip_with_mujoco", None)
+    assert blind("run").status == 0
+    status, out, err = blind("extend")
+    assert status == 0, err
+    assert "3 of 3 sessions" in out
 
 
 def test_another_answer_after_extending_is_refused(blind) -> None:

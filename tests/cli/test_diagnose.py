@@ -41,10 +41,9 @@ SCENE = (
 SMALL_SESSION = (
     "diagnosis=quick",
     "diagnosis.sides=[8]",
-    "diagnosis.shooting.modes=2",
     "optimization.stages.track.term.per_side=24",
 )
-SMALL = (*SMALL_SESSION, "diagnosis.shooting.window=4")
+SMALL = (*SMALL_SESSION, "diagnosis.shooting.modes=2", "diagnosis.shooting.window=4")
 
 
 @pytest.fixture(scope="module")
@@ -493,10 +492,27 @@ def test_clips_of_other_cloths_are_refused(
 
 
 @pytest.mark.parametrize(
-    "extra", [("diagnosis.held_out=0.4",), ("scene.name=anything",), ("diagnosis.shooting.window=16",)]
+    "extra",
+    [
+        ("diagnosis.held_out=0.4",),
+        ("scene.name=anything",),
+        ("diagnosis.shooting.window=16",),
+        ("diagnosis.shooting.modes=3",),
+        ("diagnosis.placebos=10",),
+        ("diagnosis=fine",),
+    ],
 )
 def test_a_session_refuses_what_it_would_ignore(
     extra: tuple[str, ...], two_clips: Path, tmp_path: Path
 ) -> None:
     with pytest.raises(InputError, match=r"session"):
         diagnose_session_folder(two_clips, tmp_path / "out", (*SMALL_SESSION, *extra))
+
+
+def test_a_session_that_leaves_nothing_open_is_refused(two_clips: Path, tmp_path: Path) -> None:
+    """Before anything is computed: a plumb line was in view."""
+    with pytest.raises(InputError, match="plumb line"):
+        diagnose_session_folder(
+            two_clips, tmp_path / "out", (*SMALL_SESSION, "effect@candidates=[gravity_tilt]")
+        )
+    assert not list((tmp_path / "out").rglob("*.npz"))

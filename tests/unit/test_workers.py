@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -40,6 +41,15 @@ if __name__ == "__main__":
 def test_results_come_in_the_order_of_the_items() -> None:
     with Workers(2) as workers:
         assert list(workers.map(abs, [-3, 1, -2])) == [3, 1, 2]
+
+
+def test_a_call_after_one_that_failed_has_its_own_results_alone() -> None:
+    """Fits go on with the next hypothesis where a step has blown up in a process."""
+    with Workers(2) as workers:
+        for _ in range(3):
+            with pytest.raises(ZeroDivisionError):
+                list(workers.map(partial(int.__floordiv__, 1), [*range(1, 20), 0, *range(1, 20)]))
+            assert list(workers.map(abs, range(-30, 0))) == list(range(30, 0, -1))
 
 
 @pytest.mark.skipif(os.name != "posix", reason="kills a process")

@@ -182,8 +182,15 @@ def extend_sessions(
     extended = replace(blind, part=EXTENDED)
     sessions, _ = planned_sessions(cfg, key)
     made, notes = 0, []
-    for planned in sessions:
-        if planned.name not in blind.names() or not predictions.diagnosis(planned.name).is_file():
+    for session in sessions:
+        if session.name not in blind.names() or not predictions.diagnosis(session.name).is_file():
+            continue
+        # The engine that has made the cloth, whatever is wanted or installed by now.
+        engine = str(blind.open(key, session.name).label["generator"])
+        planned = replace(session, generator=engine)
+        reason = why_not(engine, wanted=True) if engine in _OTHER_ENGINES else ""
+        if reason:
+            notes.append(f"{planned.name}: {reason}")
             continue
         answer = read_answer(predictions.diagnosis(planned.name))
         # An engine that cannot do what tells most does what tells most of the rest.

@@ -307,6 +307,21 @@ def _size(scene: Scene) -> str:
 
 _OF_SESSION = ("window", "boundary_knot", "boundary", "likelihood_weight", "jump_position", "jump_velocity")
 """Settings of a clip's windows that a session has its own of."""
+_OF_ONE_CLIP = (
+    "refinement",
+    "usual_discrepancy",
+    "usual_cost",
+    "refitted",
+    "base_refits",
+    "weights",
+    "compared",
+    "placebos",
+    "refits",
+    "prediction",
+    "shooting.modes",
+    "shooting.force_knot",
+)
+"""Settings of a diagnosis that have no say in that of a session."""
 
 
 def session_problem(cfg: DictConfig) -> SessionProblem:
@@ -340,6 +355,7 @@ def session_problem(cfg: DictConfig) -> SessionProblem:
                 expected=f"session_model.{name}",
                 got=str(cfg.diagnosis.shooting[name]),
             )
+    _check_of_one_clip(cfg.diagnosis)
     session = load_session(str(cfg.session))
     clips = []
     for clip in session.clips:
@@ -369,6 +385,22 @@ def session_problem(cfg: DictConfig) -> SessionProblem:
     effects = tuple(effect.for_clip(longest).in_detail() for effect in clips[0].effects)
     clips = [replace(clip, effects=effects) for clip in clips]
     return SessionProblem(tuple(clips), session, instantiate(cfg.session_model), int(cfg.workers))
+
+
+def _check_of_one_clip(diagnosis: DictConfig) -> None:
+    """Refuse what was set for the fits of one clip, but for what diagnosis=quick sets of it."""
+    default, quick = (OmegaConf.load(CONF / "diagnosis" / f"{name}.yaml") for name in ("default", "quick"))
+    for name in _OF_ONE_CLIP:
+        got = OmegaConf.select(diagnosis, name)
+        if all(
+            got != OmegaConf.select(preset, name) for preset in (default, OmegaConf.merge(default, quick))
+        ):
+            raise InputError(
+                "The fits of a session have settings of their own",
+                where=f"diagnosis.{name}",
+                expected="none: what a session goes by is in session_model",
+                got=str(got),
+            )
 
 
 def _problem(cfg: DictConfig) -> _Problem | SessionProblem:

@@ -19,13 +19,13 @@ from toile.effects.base import Effect
 Array = NDArray[np.float64]
 
 
-def effect_map(model: SessionModel, base: JointFit, acting: Sequence[Effect]) -> Array | None:
-    """How strongly an effect acts on every vertex of the scene's grid (H, W), 1 where most, over all clips.
+def effect_map(model: SessionModel, base: JointFit, acting: Sequence[Effect | None]) -> Array | None:
+    """How strongly an effect acts on every vertex of the scene's grid (H, W), 1 where most, over its clips.
 
     Args:
         model: see SessionModel.
         base: the base model, fitted.
-        acting: the effect as it acts in every clip.
+        acting: the effect as it acts in every clip; None for a clip in which it does not.
 
     Returns:
         None for an effect that acts everywhere alike, or nowhere.
@@ -33,6 +33,8 @@ def effect_map(model: SessionModel, base: JointFit, acting: Sequence[Effect]) ->
     maps = []
     clips = zip(model.fitting.clips, model.clips, model.grids, base.windows, acting, strict=True)
     for clip, seen, grid, windows, effect in clips:
+        if effect is None:
+            continue
         motion = torch.from_numpy(frame_positions(clip.shooting, windows))
         found = effect.acts_on(clip.around, motion)
         if found is None:

@@ -17,7 +17,7 @@ from toile.diagnosis.base_fit import N_WIND, base_of
 from toile.diagnosis.joint_fit import JointClip, JointFit, tracked_windows
 from toile.diagnosis.mechanics import Mechanics
 from toile.diagnosis.refits import Refit, acting_with, within_bounds
-from toile.effects.base import Effect
+from toile.effects.base import Effect, Scope
 
 Array = NDArray[np.float64]
 
@@ -49,11 +49,12 @@ def effect_size(mechanics: Mechanics, model: Refit) -> float:
 
 @dataclass(frozen=True)
 class Displacement:
-    """How far an effect moves the cloth of the first clip, all else equal [widths].
+    """How far an effect moves the cloth, all else equal [widths].
 
     Attributes:
-        frames: mean distance over the cloth, with the effect and without (F,).
-        last: mean distance in the last third, for which sizes of generated scenes are asked.
+        frames: mean distance over the cloth of the first clip, with the effect and without (F,).
+        last: mean distance in the last third, for which sizes of generated scenes are asked: of the first
+            clip, or of an effect that belongs to a clip, of that in which it moves the cloth most.
     """
 
     frames: Array
@@ -71,11 +72,13 @@ class Displacement:
 
 
 class Displacements:
-    """How far effects in question move the cloth of the first clip.
+    """How far effects in question move the cloth.
 
-    The clip is simulated from its first frame to its last, with the effect and without, all else equal. What
-    blows up is simulated in shorter pieces; where even those do, the distance is infinite. Hypotheses around
-    one base model have the same motion without their effect, which is simulated once.
+    A clip is simulated from its first frame to its last, with the effect and without, all else equal: the
+    first one, and where the effect belongs to a clip (contact, gusts), which may act in a later one alone,
+    every other as well. What blows up is simulated in shorter pieces; where even those do, the distance is
+    infinite. Hypotheses around one base model have the same motion without their effect, which is simulated
+    once.
 
     Args:
         clips: of the session.
@@ -84,18 +87,23 @@ class Displacements:
     """
 
     def __init__(self, clips: Sequence[JointClip], start: Array, width: float) -> None:
-        self.clip, self.start, self.width = clips[0], start, width
-        self._without: dict[tuple[int, bytes, bytes, tuple[str, ...]], list[Array] | None] = {}
+        self.clips, self.start, self.width = clips, start, width
+        self._without: dict[tuple[int, int, bytes, bytes, tuple[str, ...]], list[Array] | None] = {}
 
     def of(self, fit: JointFit) -> Displacement:
         """How far the effect moves it that is in question in a fit."""
-        frames = self.clip.windows[-1].last
         if not np.any(fit.own):
-            return Displacement.none(frames + 1)
+            return Displacement.none(self.clips[0].windows[-1].last + 1)
+        of_clip = fit.effects[0][-1].SCOPE is Scope.CLIP
+        found = [self._in(k, fit) for k in range(len(self.clips) if of_clip else 1)]
+        return Displacement(found[0].frames, max(one.last for one in found))
+
+    def _in(self, clip: int, fit: JointFit) -> Displacement:
+        """The same in one clip."""
+        length = frames = self.clips[clip].windows[-1].last
         found = None
-        length = frames
-        while found is None and length >= _FEWEST:
-            found = self._distances(fit, length)
+        while found is None and length >= min(_FEWEST, frames):
+            found = self._distances(clip, fit, length)
             length //= 2
         if found is None:
             return Displacement(np.full(frames + 1, np.inf), np.inf)
@@ -104,37 +112,42 @@ class Displacements:
             every, float(np.mean([piece[2 * len(piece) // 3 :].mean() for piece in found])) / self.width
         )
 
-    def _distances(self, fit: JointFit, frames: int) -> list[Array] | None:
+    def _distances(self, clip: int, fit: JointFit, frames: int) -> list[Array] | None:
         """Mean distance of every frame of pieces of so many frames [m]; None where a step fails."""
-        without = self._motion_without(fit, frames)
-        there = None if without is None else self._motion(fit, fit.effects[0], frames)
+        without = self._motion_without(clip, fit, frames)
+        there = None if without is None else self._motion(clip, fit, fit.effects[clip], frames)
         if without is None or there is None:
             return None
         # Lines of the grid may be closer at the borders; masses are shares of the area.
-        masses = self.clip.shooting.masses
+        masses = self.clips[clip].shooting.masses
         shares = masses / masses.sum()
         return [
             np.linalg.norm(moved - still, axis=-1) @ shares
             for moved, still in zip(there, without, strict=True)
         ]
 
-    def _motion_without(self, fit: JointFit, frames: int) -> list[Array] | None:
+    def _motion_without(self, clip: int, fit: JointFit, frames: int) -> list[Array] | None:
         # Effects of the base model act in both.
-        usual = fit.effects[0][:-1] if fit.n_usual else ()
+        usual = fit.effects[clip][:-1] if fit.n_usual else ()
         strength = fit.coefficients[: fit.n_usual]
-        key = (frames, fit.values.tobytes(), strength.tobytes(), tuple(effect.NAME for effect in usual))
+        names = tuple(effect.NAME for effect in usual)
+        key = (clip, frames, fit.values.tobytes(), strength.tobytes(), names)
         if key not in self._without:
-            self._without[key] = self._motion(fit, usual, frames)
+            self._without[key] = self._motion(clip, fit, usual, frames)
         return self._without[key]
 
-    def _motion(self, fit: JointFit, effects: tuple[Effect, ...], frames: int) -> list[Array] | None:
+    def _motion(
+        self, clip: int, fit: JointFit, effects: tuple[Effect, ...], frames: int
+    ) -> list[Array] | None:
         """Positions (frames + 1, N, 3) [m] of pieces of so many frames; None where a step fails."""
-        n = len(self.start)
-        base = base_of(self.start, fit.values[: n + N_WIND])
-        shooting = self.clip.shooting.with_window(frames)
-        given = shooting.with_effects(effects, self.clip.around, base)
+        of_clip = self.clips[clip]
+        material, winds = np.split(fit.values, [len(self.start)])
+        wind = winds[N_WIND * clip : N_WIND * (clip + 1)]
+        base = base_of(self.start, np.concatenate((material, wind)))
+        shooting = of_clip.shooting.with_window(frames)
+        given = shooting.with_effects(effects, of_clip.around, base)
         found = []
-        for window in tracked_windows(shooting, self.clip.windows[-1].last + 1):
+        for window in tracked_windows(shooting, of_clip.windows[-1].last + 1):
             try:
                 moved = shooting.simulate(window, window.standardised, base, given)
             except FloatingPointError:

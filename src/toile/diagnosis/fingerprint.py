@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import inspect
 from abc import ABC
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from functools import cache, partial
@@ -42,17 +42,16 @@ def code_fingerprint() -> str:
     """The package's version, and a hash of those of its sources that a diagnosis depends on."""
     digest = hashlib.sha256()
     root = files("toile")
-    for folder in sorted(p.name for p in root.iterdir() if p.is_dir()):
-        if folder in _WITHOUT_INFLUENCE:
-            continue
-        digest.update(folder.encode())
-        _add_sources(digest, root / folder)
+    _add_sources(digest, root, _WITHOUT_INFLUENCE)
     return f"{version('toile')} {digest.hexdigest()}"
 
 
-def _add_sources(digest: Any, folder: Any) -> None:
+def _add_sources(digest: Any, folder: Any, without: Collection[str] = ()) -> None:
     for path in sorted(folder.iterdir(), key=lambda p: str(p.name)):
         if path.is_dir():
+            if path.name in (*without, "__pycache__"):
+                continue
+            digest.update(path.name.encode())
             _add_sources(digest, path)
         elif path.name.endswith(".py"):
             digest.update(path.name.encode())

@@ -59,14 +59,17 @@ def with_slips(
     return found
 
 
-def which_slips(findings: Sequence[Mapping[str, Finding]]) -> int:
-    """The pinned vertex that slips, from 0: of the clip that says so most clearly.
+def which_slips(findings: Sequence[Mapping[str, Finding]]) -> tuple[int, int]:
+    """The clip that says most clearly that something slips, and the pinned vertex that does; both from 0.
 
     Args:
         findings: of every clip, see ``with_slips``.
     """
-    slips = [of_clip[AnchorSlip.NAME] for of_clip in findings if AnchorSlip.NAME in of_clip]
-    return max(slips, key=lambda one: one.log_evidence).vertex if slips else 0
+    slips = {k: found[AnchorSlip.NAME] for k, found in enumerate(findings) if AnchorSlip.NAME in found}
+    if not slips:
+        return 0, 0
+    clip = max(slips, key=lambda k: slips[k].log_evidence)
+    return clip, slips[clip].vertex
 
 
 def slip_of(

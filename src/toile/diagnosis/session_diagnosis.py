@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.special import expit, softmax
 
 from toile.atomic_file import written_atomically
 from toile.denormals import denormals_flushed
@@ -76,6 +75,7 @@ from toile.effects.anchor_slip import AnchorSlip
 from toile.effects.base import Effect
 from toile.effects.catalogue import CATALOGUE, PUSHING, STAGES, STAND_INS, StandInEffect
 from toile.effects.contact import Contact
+from toile.errors import InputError
 from toile.generation.clip_plan import MOTIONS
 from toile.scenes.session import Session
 from toile.workers import ALONE, Workers
@@ -127,7 +127,7 @@ class _Found:
     stand_ins: dict[str, StandIn]
     resized: dict[str, float]
     covered: dict[str, Covered]
-    slipped: int
+    slipped: tuple[int, int]
 
 
 @denormals_flushed()
@@ -160,6 +160,13 @@ def diagnose_session(
     settings = replace(settings, verdict=verdict)
     known = {effect for key, effect in KNOWN_BY.items() if getattr(session, key)}
     effects = tuple(effect for effect in effects if effect.NAME not in known)
+    if not effects:
+        raise InputError(
+            "No effect is in question",
+            where="candidates",
+            expected="one that the session's plumb line and clock leave open",
+            got=", ".join(sorted(known)),
+        )
     moving = [effect for effect in effects if isinstance(effect, FORCES)]
     times = StageTimes.going_on(folder / TIMES_FILE)
     # Usual effects act whether they are candidates or not.
@@ -187,14 +194,14 @@ def diagnose_session(
     of_one_clip = SessionWeights.load()
     weights = of_one_clip.of_clips(len(clips))
     changes = {
-        of.folder.name: change
-        for of, clip, positions in zip(session.clips, clips, motion.positions, strict=True)
+        name: change
+        for name, clip, positions in zip(session.clip_names, clips, motion.positions, strict=True)
         if (change := change_of_size(clip, positions)) is not None
     }
     progress("what passes before the cloth", 0.5)
     hidden = {
-        of.folder.name: hidden_in(clip, together.occlusion)
-        for of, clip in zip(session.clips, clips, strict=True)
+        name: hidden_in(clip, together.occlusion)
+        for name, clip in zip(session.clip_names, clips, strict=True)
     }
     covered = {
         name: cover for name, shares in hidden.items() if (cover := cover_of(shares, weights)) is not None
@@ -265,6 +272,7 @@ def diagnose_session(
         fits,
         effects,
         of_images,
+        devices,
         errors,
         calibration,
         learned,
@@ -359,17 +367,17 @@ def _stand_ins(
     """What stands in for causes that the catalogue lacks, the most probable first."""
     motion, around = evidence.motion, model.fitting.clips[0].around
     odds = motion.odds(weights)
-    names = [effect.NAME for effect in effects if effect.NAME in odds]
-    shares = softmax([odds[name] for name in names]) if names else []
+    by_name = {effect.NAME: effect for effect in effects if effect.NAME in odds}
+    # UNKNOWN is more: what nothing explains, and what the cloth looks like, say nothing of what moves it.
+    every = float(np.logaddexp.reduce(list(evidence.logits.values())))
     found = {}
-    for name, share in sorted(zip(names, shares, strict=True), key=lambda pair: -pair[1]):
-        (effect,) = [one for one in effects if name == one.NAME]
+    for name in sorted(by_name, key=lambda name: -odds[name]):
+        effect = by_name[name]
         mean, size = fits[name].own, motion.sizes[name]
         if name in outside.causes and motion.outside[name].nats() > motion.nats(name):
             mean = outside.causes[name].coefficients
         acting = effect.with_values(effect.scales * torch.from_numpy(mean[: len(effect.scales)].copy()))
-        # What the cloth looks like, its size and its print, says nothing for what moves it.
-        chance = float(share * expit(-motion.of_looks(weights))) * evidence.chances[UNKNOWN]
+        chance = float(np.exp(odds[name] - every))
         found[name] = StandIn(chance, size if np.isfinite(size) else None, acting.described(around))
     return found
 
@@ -467,8 +475,8 @@ def _report(
         verdict = refuted(verdict, evidence.chances, found.left_out.shrinks)
     if not found.base.converged:
         verdict = unsettled(verdict, evidence.chances, found.fits)
-    pairs = zip(session.clips, found.clips, strict=True)
-    frames = [(of.folder.name, clip.n_frames, clip.problem.scene.n_frames) for of, clip in pairs]
+    pairs = zip(session.clip_names, found.clips, strict=True)
+    frames = [(name, clip.n_frames, clip.problem.scene.n_frames) for name, clip in pairs]
     verdict = seen_in_part(verdict, frames)
     following = ""
     # A class that is one answer is clear where its members are not.
@@ -515,7 +523,7 @@ def _report(
         ),
         CalibrationUse(False, "", "", "", ("sessions have no calibration yet",)),
         session=SessionAnswer(
-            tuple(clip.folder.name for clip in session.clips),
+            session.clip_names,
             tuple(clip.n_frames for clip in found.clips),
             dict(evidence.chances),
             tuple(classes),
@@ -540,8 +548,11 @@ def _report(
 def _write_map(found: _Found, name: str, folder: Path) -> str | None:
     """Write where the effect that is named acts; the file's name, None where there is nothing to write."""
     (folder / ACTS_ON_FILE).unlink(missing_ok=True)
+    acting: list[Effect | None]
     if name == AnchorSlip.NAME:
-        acting: list[Effect] = [AnchorSlip(vertex=found.slipped)] * len(found.clips)
+        # In another clip that number may be another corner, or none.
+        clip, vertex = found.slipped
+        acting = [AnchorSlip(vertex=vertex) if k == clip else None for k in range(len(found.clips))]
     elif name in found.fits:
         acting = [effects[-1] for effects in found.fits[name].effects]
     else:
@@ -555,9 +566,9 @@ def _write_map(found: _Found, name: str, folder: Path) -> str | None:
 
 def _obstacles(found: _Found, session: Session) -> dict[str, dict[str, tuple[float, ...]]]:
     """What may be touched, by clip."""
-    pairs = zip(session.clips, found.model.own, strict=True)
+    pairs = zip(session.clip_names, found.model.own, strict=True)
     return {
-        clip.folder.name: {
+        clip: {
             name: tuple(map(float, at))
             for name, at in own[Contact.NAME].place().items()
             if name != "thickness"

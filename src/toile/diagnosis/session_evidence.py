@@ -35,7 +35,8 @@ class SessionEvidence:
     Attributes:
         findings: of every candidate; log evidence in nats against the base model.
         drops: of the misfit, without any penalty, of effects that move the cloth.
-        chances: probabilities, NONE and UNKNOWN among them, most probable first.
+        logits: log odds of all hypotheses, NONE and UNKNOWN among them, up to a common constant.
+        chances: probabilities of them, most probable first.
         left: errors of the best hypothesis over the usual ones, squared.
         scale: by which misfits are too large for the noise that was found.
         motion: what the motion says before any weight.
@@ -43,6 +44,7 @@ class SessionEvidence:
 
     findings: dict[str, Finding]
     drops: dict[str, float]
+    logits: dict[str, float]
     chances: dict[str, float]
     left: float
     scale: float
@@ -54,6 +56,7 @@ def session_evidence(
     fits: Mapping[str, JointFit],
     effects: Sequence[Effect],
     of_images: Sequence[Mapping[str, Finding]],
+    devices: Sequence[int],
     errors: ModelErrors,
     calibration: Calibration,
     learned: Mapping[str, float] | None,
@@ -73,6 +76,7 @@ def session_evidence(
             itself.
         effects: all candidates.
         of_images: findings of every clip from its images and the paths of its holders, by name.
+        devices: that filmed the clips.
         errors: of the base model.
         calibration: of the images' findings.
         learned: probabilities of the learned decision by label, None where there is none.
@@ -97,7 +101,8 @@ def session_evidence(
     left = motion.over_usual
     scale = motion.scale
     findings = {
-        name: _of_images(by_name[name], name, of_images) for name in (of_images[0] if of_images else {})
+        name: _of_images(by_name[name], name, of_images, devices)
+        for name in (of_images[0] if of_images else {})
     }
     logits = motion.logits(weights)
     none = logits[NONE]
@@ -123,8 +128,8 @@ def session_evidence(
             findings[name] = finding(by_name[name], cause.evidence.nats(), mean, covariance)
     strange = none + float(weights.strangeness * np.log(left / weights.strange))
     logits[UNKNOWN] = float(np.logaddexp(strange, logits.get(UNKNOWN, -np.inf)))
-    chances = _chances(motion.with_looks(logits, weights))
-    return SessionEvidence(findings, drops, chances, left, scale, motion)
+    logits = motion.with_looks(logits, weights)
+    return SessionEvidence(findings, drops, logits, _chances(logits), left, scale, motion)
 
 
 def promising(
@@ -178,11 +183,33 @@ def _of_motion(
     return MotionEvidence(errors, own, learned, usual)
 
 
-def _of_images(effect: Effect, name: str, clips: Sequence[Mapping[str, Finding]]) -> Finding:
-    """What the images of all clips say; of an effect that belongs to a clip, the clip that says most."""
-    found = [clip[name] for clip in clips if name in clip]
+def _of_images(
+    effect: Effect, name: str, clips: Sequence[Mapping[str, Finding]], devices: Sequence[int]
+) -> Finding:
+    """What the images of all clips say: the clip that says most, or the device whose clips say most together.
+
+    The clip of an effect that belongs to a clip, and of one that belongs to the cloth all clips together.
+    """
+    if effect.SCOPE is Scope.CLIP:
+        groups: Sequence[int] = range(len(clips))
+    else:
+        groups = devices if effect.SCOPE is Scope.DEVICE else [0] * len(clips)
+    found: dict[int, list[Finding]] = {}
+    for clip, group in zip(clips, groups, strict=True):
+        if name in clip:
+            found.setdefault(group, []).append(clip[name])
+    return max(map(_together, found.values()), key=lambda one: one.log_evidence)
+
+
+def _together(found: Sequence[Finding]) -> Finding:
+    """What several clips say of the same numbers, less what they lose by having to agree on them.
+
+    A clip's evidence falls with the squared distance from its own numbers and is gone at zero, where the
+    effect does nothing. Where clips cannot agree it is what the one that says most does, and what speaks
+    against any such effect: a mean that none of them has is no answer.
+    """
     best = max(found, key=lambda one: one.log_evidence)
-    if effect.SCOPE is Scope.CLIP or len(found) == 1:
+    if len(found) == 1:
         return best
     mean, deviation = {}, {}
     for parameter in best.mean:
@@ -190,7 +217,20 @@ def _of_images(effect: Effect, name: str, clips: Sequence[Mapping[str, Finding]]
         values = np.array([one.mean[parameter] for one in found])
         mean[parameter] = float((precision * values).sum() / precision.sum())
         deviation[parameter] = float(precision.sum() ** -0.5)
-    return Finding(sum(one.log_evidence for one in found), mean, deviation)
+    agreed = sum(_at(one, mean) for one in found)
+    against = sum(min(one.log_evidence, 0.0) for one in found if one is not best)
+    alone = best.log_evidence + against
+    return Finding(agreed, mean, deviation) if agreed >= alone else replace(best, log_evidence=alone)
+
+
+def _at(one: Finding, mean: Mapping[str, float]) -> float:
+    """Evidence of a clip for these numbers instead of its own."""
+    squares = {p: max(deviation, 1e-9) ** -2 for p, deviation in one.deviation.items()}
+    away = sum(squares[p] * (one.mean[p] - value) ** 2 for p, value in mean.items())
+    from_zero = sum(squares[p] * one.mean[p] ** 2 for p in mean)
+    if one.log_evidence <= 0 or from_zero == 0:
+        return one.log_evidence
+    return one.log_evidence * (1 - away / from_zero)
 
 
 def _chances(logits: Mapping[str, float]) -> dict[str, float]:

@@ -131,8 +131,12 @@ def of_two(verdict: Verdict, first: str, second: str, probability: float) -> Ver
         return verdict
     both = f"{first} and {second}: each explains what the base model with the other misses."
     if verdict.effect == first:
+        # There is one place beside the first: where an effect of the image has it, the second is a candidate.
         beside = verdict.also or second
-        return replace(verdict, also=beside, reason=f"{verdict.reason} {both}")
+        candidates = tuple(dict.fromkeys((*verdict.candidates, second)))
+        if beside == second:
+            candidates = verdict.candidates
+        return replace(verdict, candidates=candidates, also=beside, reason=f"{verdict.reason} {both}")
     return replace(
         verdict,
         effect=first,

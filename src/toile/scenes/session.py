@@ -68,6 +68,16 @@ class Session:
     plumb_line: bool = False
     clock: bool = False
 
+    @property
+    def clip_names(self) -> tuple[str, ...]:
+        """A name for every clip: its folder's, with those above it where several are called alike."""
+        parts = [clip.folder.resolve().parts for clip in self.clips]
+        for kept in range(1, max(map(len, parts), default=0) + 1):
+            names = tuple("/".join(part[-kept:]) for part in parts)
+            if len(set(names)) == len(names):
+                break
+        return names
+
 
 def load_session(folder: Path | str) -> Session:
     """Read the session in a folder; its scenes are not looked at.

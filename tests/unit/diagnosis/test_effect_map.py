@@ -48,6 +48,15 @@ def test_a_corner_that_slips() -> None:
     assert found[4, 0] == 0.0
 
 
+def test_a_corner_that_slips_in_one_clip() -> None:
+    """In the other one the corner of that number is another, and none of its own slips."""
+    clips = [still(1.0), still(1.0)]
+    alone = effect_map(*session([still(1.0)]), [AnchorSlip(vertex=1)])
+    found = effect_map(*session(clips), [None, AnchorSlip(vertex=1)])
+    assert found is not None
+    np.testing.assert_array_equal(found, alone)
+
+
 def test_what_touches_in_any_clip_counts() -> None:
     """In the first clip the right column enters, in the second one, half as deep, the lowest row."""
     right = Contact(Plane((0.2, 0.0, 0.0), (-1.0, 0.0, 0.0)), thickness=0.02)

@@ -94,8 +94,9 @@ def test_the_refined_path_takes_the_place_of_the_tracked_one() -> None:
     assert first["anchor_slip"].log_evidence > 20
     assert first["anchor_slip"].mean["x"] == pytest.approx(-0.016, abs=0.004)
     assert second["anchor_slip"].log_evidence < 0
-    assert which_slips([first, second]) == which_slips([second, first]) == 1
-    assert which_slips([{}]) == 0
+    assert which_slips([first, second]) == (0, 1)
+    assert which_slips([second, first]) == (1, 1)
+    assert which_slips([{}]) == (0, 0)
     # All else is as the images have it.
     assert first["motion_blur"] == clips[0].seen.findings["motion_blur"]
     # No candidate, no finding of its own.
@@ -125,6 +126,14 @@ def test_odds_of_a_slip_are_those_of_its_weights() -> None:
     weights = SessionWeights(slip_threshold=8.0, slip_temperature=2.0)
     found = {"anchor_slip": Finding(14.0, {"x": 0.0}, {"x": 1.0})}
     chances = session_evidence(
-        base, {}, [AnchorSlip()], [found], ModelErrors(1.0, 1.0, 1e-4), Calibration.load(), None, weights
+        base,
+        {},
+        [AnchorSlip()],
+        [found],
+        [0],
+        ModelErrors(1.0, 1.0, 1e-4),
+        Calibration.load(),
+        None,
+        weights,
     ).chances
     assert np.log(chances["anchor_slip"] / chances[NONE]) == pytest.approx(3.0)

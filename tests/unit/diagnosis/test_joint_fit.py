@@ -245,6 +245,31 @@ class TestFits:
         assert moved_by.of(nothing).last == 0.0
         assert moved_by.of(nothing).known == [0.0] * FRAMES
 
+    def test_what_belongs_to_a_clip_may_act_in_a_later_one_alone(
+        self, dragged: Problem, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """What is the cloth's acts in all clips, and the first says how far it moves that."""
+        fit, fitting = dragged.drag, dragged.fitting
+        moved_by = Displacements(fitting.clips, fitting.start, 0.3)
+        (acting,) = fit.effects[1]
+        nothing = acting_with(acting, np.zeros_like(fit.coefficients))
+        later = replace(fit, effects=[(nothing,), (acting,)])
+        assert moved_by.of(later).last == 0.0
+        monkeypatch.setattr(type(acting), "SCOPE", Scope.CLIP)
+        found = moved_by.of(later)
+        assert not found.frames.any()
+        # In its own wind.
+        second = [clip(WINDS[1], effects)[0].tracked.positions for effects in ((acting,), ())]
+        away = np.linalg.norm(second[0] - second[1], axis=-1)[2 * FRAMES // 3 :].mean() / 0.3
+        assert found.last == pytest.approx(away, rel=0.4)
+
+    def test_a_short_clip_is_simulated(self, dragged: Problem) -> None:
+        fit, fitting = dragged.drag, dragged.fitting
+        short = [replace(clip, windows=clip.windows[:1]) for clip in fitting.clips]
+        assert short[0].windows[-1].last <= 8
+        found = Displacements(short, fitting.start, 0.3).of(fit)
+        assert 0.0 < found.last < np.inf
+
     def test_a_cloth_torn_apart_is_nowhere(self, dragged: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
         """In the simulation, that is: diagnosis.json takes finite numbers alone."""
         fitting = dragged.fitting

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -146,5 +147,8 @@ def test_two_rivals_that_both_act_are_the_answer() -> None:
     named = Verdict("air_drag", ("air_drag",), "mechanics", 0.95, "…", "")
     assert of_two(named, "air_drag", "gusts", 0.9).also == "gusts"
     assert of_two(named, "air_drag", "gusts", 0.9).probability == 0.95
+    # Beside an effect of the image there is no other place for it.
+    lit = of_two(replace(named, also="shading"), "air_drag", "gusts", 0.9)
+    assert (lit.also, lit.candidates) == ("shading", ("air_drag", "gusts"))
     none = Verdict(NONE, (NONE,), NONE, 0.95, "…", "")
     assert of_two(none, "air_drag", "gusts", 0.9) == none

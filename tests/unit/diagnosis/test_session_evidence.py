@@ -1,4 +1,4 @@
-"""Which hypotheses of a session are worth a fit."""
+"""Which hypotheses of a session are worth a fit, and what images of several clips say together."""
 
 from __future__ import annotations
 
@@ -7,11 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from toile.diagnosis.findings import Finding
 from toile.diagnosis.joint_fit import JointFit
 from toile.diagnosis.model_errors import ModelErrors
-from toile.diagnosis.session_evidence import promising
+from toile.diagnosis.session_evidence import _of_images, promising
 from toile.effects.catalogue import CATALOGUE, STAND_INS
 
+ONCE = 0.01 / 2**0.5
 ERRORS = ModelErrors(cost=10.0, expected=10.0, share=0.001)
 EFFECTS = [CATALOGUE[name]() for name in ("air_drag", "gusts", "nonuniform_stiffness", "rest_curvature")] + [
     STAND_INS["steady_forces"]()
@@ -52,3 +54,26 @@ def test_what_no_cloth_could_be_like_around_the_base_model_is_asked_of_a_fit(
 
 def test_what_promises_nothing_is_not_fitted() -> None:
     assert chosen("rest_curvature", air_drag=0.1, gusts=0.0, rest_curvature=0.5, steady_forces=0.2) == set()
+
+
+@pytest.mark.parametrize(
+    ("said", "together"),
+    [
+        # (log evidence, mean, deviation, device) of every clip.
+        ([(40.0, 0.06, 0.01, 0), (30.0, 0.06, 0.01, 0)], (70.0, 0.06, ONCE)),
+        ([(36.0, 0.06, 0.01, 0), (32.0, 0.04, 0.01, 0)], (35.0 + 30.0, 0.05, ONCE)),
+        # They cannot both be right, and what lies between does nothing.
+        ([(40.0, 0.06, 0.01, 0), (39.0, -0.06, 0.01, 0)], (40.0, 0.06, 0.01)),
+        ([(40.0, 0.06, 0.01, 0), (-4.0, 0.0, 0.01, 0)], (36.0, 0.06, 0.01)),
+        # Of two devices each has an error of its own.
+        ([(40.0, 0.06, 0.01, 0), (39.0, -0.06, 0.01, 1)], (40.0, 0.06, 0.01)),
+        ([(20.0, 0.06, 0.01, 0), (15.0, -0.06, 0.01, 1), (10.0, -0.06, 0.01, 1)], (25.0, -0.06, ONCE)),
+    ],
+)
+def test_clips_of_a_device_agree_on_its_error(
+    said: list[tuple[float, float, float, int]], together: tuple[float, float, float]
+) -> None:
+    clips = [{"focal_error": Finding(nats, {"relative": m}, {"relative": s})} for nats, m, s, _ in said]
+    found = _of_images(CATALOGUE["focal_error"](), "focal_error", clips, [device for *_, device in said])
+    numbers = (found.log_evidence, found.mean["relative"], found.deviation["relative"])
+    assert numbers == pytest.approx(together)

@@ -215,10 +215,25 @@ def test_fingerprints_tell_contents_apart() -> None:
             fingerprint(unknown)
 
 
-def test_the_code_has_a_fingerprint() -> None:
+def test_the_code_has_a_fingerprint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from toile import __version__
+    from toile.diagnosis import fingerprint as module
 
     assert code_fingerprint().startswith(f"{__version__} ")
+
+    def of(*files: str) -> str:
+        for file in files:
+            path = tmp_path / file
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(f"changed for {file}")
+        return code_fingerprint.__wrapped__()
+
+    monkeypatch.setattr(module, "files", lambda name: tmp_path)
+    first = of("physics/cloth.py", "cli/main.py")
+    assert of("cli/main.py", "cli/more.py", "physics/__pycache__/cloth.pyc", "__pycache__/a.py") == first
+    second = of("workers.py")
+    assert second != first
+    assert of("physics/bending.py") not in (first, second)
 
 
 def test_stages_depend_on_the_settings_that_they_ask_for() -> None:

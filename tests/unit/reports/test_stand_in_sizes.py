@@ -34,6 +34,23 @@ class Drift:
         return SimpleNamespace(described=lambda around: {"first": float(values[0])})
 
 
+def test_looks_of_the_cloth_say_nothing_of_what_moves_it() -> None:
+    """Where nothing speaks for a stand-in, a cover does not make it likely."""
+    weights = SessionWeights()
+    drift = EffectEvidence.of(0.0, np.array([0.3, 0.1]), 0.01 * np.eye(2), 3.0)
+    motion = MotionEvidence(ModelErrors(100.0, 120.0, 0.001), {NAME: drift}, sizes={NAME: 0.04})
+    model: Any = SimpleNamespace(fitting=SimpleNamespace(clips=[SimpleNamespace(around=None)]))
+    fits: Any = {NAME: SimpleNamespace(own=np.array([0.3, 0.1]))}
+    chances = []
+    for covered in (None, 0.02, 0.5):
+        logits = replace(motion, covered=covered).with_looks(motion.logits(weights), weights)
+        evidence: Any = SimpleNamespace(motion=motion, logits=logits)
+        found = _stand_ins([cast(Any, Drift())], model, fits, OutsideCauses({}), evidence, weights)
+        chances.append(found[NAME].probability)
+    assert 0.0 < chances[2] < chances[1] < chances[0] < 0.01
+    assert chances[0] == pytest.approx(np.exp(motion.logits(weights)[UNKNOWN]), rel=0.01)
+
+
 @pytest.mark.parametrize(("size", "moves"), [(0.04, 0.04), (np.inf, None)])
 def test_an_infinite_size_is_not_known(
     size: float, moves: float | None, tmp_path: Path, made_up_diagnosis: Callable[..., GapReport]
@@ -41,7 +58,7 @@ def test_an_infinite_size_is_not_known(
     own = np.array([0.3, 0.1])
     drift = EffectEvidence.of(200.0, own, 0.01 * np.eye(2), 3.0)
     motion = MotionEvidence(ModelErrors(100.0, 120.0, 0.001), {NAME: drift}, sizes={NAME: size})
-    evidence: Any = SimpleNamespace(motion=motion, chances={UNKNOWN: 0.9})
+    evidence: Any = SimpleNamespace(motion=motion, logits=motion.logits(SessionWeights()))
     model: Any = SimpleNamespace(fitting=SimpleNamespace(clips=[SimpleNamespace(around=None)]))
     fits: Any = {NAME: SimpleNamespace(own=own)}
     found = _stand_ins([cast(Any, Drift())], model, fits, OutsideCauses({}), evidence, SessionWeights())

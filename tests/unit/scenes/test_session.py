@@ -38,6 +38,18 @@ def test_only_the_scenes_are_needed(folder: Path) -> None:
     assert not session.clock
 
 
+def test_clips_have_names_of_their_own(folder: Path) -> None:
+    """What is said of one must not be taken for what is said of another."""
+    for day in ("monday", "tuesday"):
+        (folder / day / "native").mkdir(parents=True)
+        (folder / day / "native" / "scene.json").write_text("{}")
+    (folder / SESSION_FILE).write_text("clips:\n- scene: release\n- scene: shake\n")
+    assert load_session(folder).clip_names == ("release", "shake")
+    scenes = ("monday/native", "tuesday/native", "release")
+    (folder / SESSION_FILE).write_text("clips:\n" + "".join(f"- scene: {scene}\n" for scene in scenes))
+    assert load_session(folder).clip_names == ("monday/native", "tuesday/native", f"{folder.name}/release")
+
+
 @pytest.mark.parametrize(
     ("text", "got"),
     [
