@@ -59,6 +59,15 @@ def test_a_failing_cell_is_reported_and_the_rest_goes_on(toile: Toile, tmp_path:
         assert (tmp_path / "outputs/ablations/adam" / run / "metrics.json").is_file()
 
 
+def test_a_run_of_a_sweep_that_is_finished_by_itself_has_not_failed(toile: Toile) -> None:
+    run = Path("runs/0")
+    run.mkdir(parents=True)
+    (run / "failure.txt").write_text("error: no space left\n")
+    assert toile("fit", *SHORT, f"hydra.run.dir={run}").status == 0
+    assert (run / "metrics.json").is_file()
+    assert not (run / "failure.txt").exists()
+
+
 def test_an_interrupted_sweep_ends_with_the_same_table(toile: Toile, monkeypatch: pytest.MonkeyPatch) -> None:
     sweep = ("fit", "-m", *ABLATIONS, "ablation=none,no_silhouette", "seed=0,1")
     assert toile(*sweep, "paths.outputs=whole").status == 0

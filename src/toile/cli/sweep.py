@@ -37,13 +37,14 @@ class SweepFolder(Callback):
 @contextmanager
 def noting_failures() -> Iterator[None]:
     """Write why a run of a sweep failed into its folder; the failure itself goes on."""
-    if HydraConfig.get().mode is not RunMode.MULTIRUN:
-        yield
-        return
     from toile.reports.run_folder import RunFolder
 
     note = RunFolder(Path(HydraConfig.get().runtime.output_dir)).failure
+    # A run of a sweep may be finished by itself.
     note.unlink(missing_ok=True)
+    if HydraConfig.get().mode is not RunMode.MULTIRUN:
+        yield
+        return
     try:
         yield
     except FolderInUseError:

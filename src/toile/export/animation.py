@@ -205,6 +205,20 @@ def of_equal_length(animations: Animation | Sequence[Animation]) -> tuple[Animat
     return found
 
 
+def remove_later_frames(folder: Path, suffix: str, n_frames: int) -> None:
+    """Remove files of frames that an earlier, longer animation has left: they would pass for its own.
+
+    Args:
+        folder: of ``frame_0000.obj`` and its like.
+        suffix: of the files.
+        n_frames: of this animation.
+    """
+    for path in folder.glob(f"frame_*{suffix}"):
+        number = path.stem.removeprefix("frame_")
+        if number.isdigit() and int(number) >= n_frames:
+            path.unlink()
+
+
 def write_texture(animation: Animation, path: Path) -> bool:
     """Write the texture as PNG where there is one; says whether it did."""
     png = animation.png()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from toile.atomic_file import write_text
-from toile.export.animation import ClothAnimation, write_texture
+from toile.export.animation import ClothAnimation, remove_later_frames, write_texture
 
 
 def export_obj(animation: ClothAnimation, folder: Path, *, keep_camera_frame: bool = False) -> list[Path]:
@@ -39,4 +39,5 @@ def export_obj(animation: ClothAnimation, folder: Path, *, keep_camera_frame: bo
     for f, vertices in enumerate(animation.vertices(keep_camera_frame)):
         lines = [*head, *(f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in vertices), *tail]
         paths.append(write_text(folder / f"frame_{f:04d}.obj", "\n".join(lines) + "\n"))
+    remove_later_frames(folder, ".obj", len(paths))
     return paths

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from toile.atomic_file import written_atomically
-from toile.export.animation import ClothAnimation, write_texture
+from toile.export.animation import ClothAnimation, remove_later_frames, write_texture
 
 
 def export_ply(animation: ClothAnimation, folder: Path, *, keep_camera_frame: bool = False) -> list[Path]:
@@ -50,4 +50,5 @@ def export_ply(animation: ClothAnimation, folder: Path, *, keep_camera_frame: bo
             body = table.astype("<f8").tobytes() + faces.tobytes()
             temporary.write_bytes(("\n".join(header) + "\n").encode("ascii") + body)
         paths.append(path)
+    remove_later_frames(folder, ".ply", len(paths))
     return paths

@@ -182,7 +182,7 @@ def open_clip(
     clip = Clip(path, rate, height, width, start, every, n_frames, expected)
     stop = None if n_frames is None else start + n_frames * every
     if path.is_dir():
-        described = _described_times(path, total)
+        described = _described_times(path, total, replaced=fps is not None)
         return clip if described is None else _timed(clip, described[start:stop:every], 0.0, fps)
     stamps, tick = _time_stamps(path, stop)
     # ffmpeg may look at one frame more than it is to pass on.
@@ -235,8 +235,13 @@ def _describes(folder: Path) -> dict[str, Any]:
         return {}
 
 
-def _described_times(folder: Path, n_frames: int | None) -> list[float] | None:
+def _described_times(folder: Path, n_frames: int | None, *, replaced: bool) -> list[float] | None:
     """Times of a scene's frames, or None where nothing says them.
+
+    Args:
+        folder: of the frames.
+        n_frames: in it.
+        replaced: whether times that are of other frames do not matter, since a rate takes their place.
 
     Raises:
         InputError: they are those of other frames.
@@ -248,6 +253,8 @@ def _described_times(folder: Path, n_frames: int | None) -> list[float] | None:
     if not isinstance(times, list) or not all(isinstance(t, int | float) for t in times):
         got = str(times)[:100]
         raise InputError("Times cannot be understood", where=where, expected="a list of seconds", got=got)
+    if replaced and len(times) != n_frames:
+        return None
     require(check_times(times, n_frames or 0, None, where))
     return [float(t) for t in times]
 

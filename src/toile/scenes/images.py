@@ -12,6 +12,9 @@ from torch import Tensor
 
 from toile.errors import InputError
 
+_ON_ITS_SIDE = (5, 6, 7, 8)
+"""Orientations in EXIF by which height and width of what is stored are exchanged."""
+
 
 def read_rgb(path: Path) -> Tensor:
     """Read an image as (h, w, 3) uint8; grey and palette images are converted, alpha is dropped.
@@ -49,11 +52,12 @@ def image_size(path: Path) -> tuple[int, int]:
     Raises:
         InputError: the file is missing or no image.
     """
-    from PIL import Image
+    from PIL import ExifTags, Image
 
     try:
         with Image.open(path) as image:
-            return image.height, image.width
+            turned = image.getexif().get(ExifTags.Base.Orientation, 1) in _ON_ITS_SIDE
+            return (image.width, image.height) if turned else (image.height, image.width)
     except FileNotFoundError as error:
         raise _missing(path) from error
     except Exception as error:
@@ -70,11 +74,13 @@ def numbered_files(folder: Path, prefix: str, suffix: str = ".png") -> dict[int,
 
 
 def _decode(path: Path, mode: str) -> np.ndarray:
-    from PIL import Image
+    from PIL import Image, ImageOps
 
     try:
         with Image.open(path) as image:
+            # Photos of a camera held upright are stored on their side, and say so.
             image.load()
+            ImageOps.exif_transpose(image, in_place=True)
             # Converting to the mode that it has would copy it.
             return np.array(image if image.mode == mode else image.convert(mode))
     except FileNotFoundError as error:

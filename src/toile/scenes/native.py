@@ -282,6 +282,20 @@ def survey_native(
     if has_errors(findings) or camera is None or template is None or texture is None or coordinates is None:
         return None, findings
     true_vertices = folder / "ground_truth" / "vertices.npy"
+    top, left = values.get("crop") or (0, 0)
+    cut = top + camera.height, left + camera.width
+    original = values.get("original_size") or cut
+    if any(original) and any(whole < part for whole, part in zip(original, cut, strict=True)):
+        findings.append(
+            Finding(
+                Severity.ERROR,
+                "The images were not cut from such larger ones",
+                f"{path}: crop, original_size",
+                f"an original of {cut[0]} x {cut[1]} px at least, for images of "
+                f"{camera.height} x {camera.width} px at {[top, left]}",
+                f"{original[0]} x {original[1]} px",
+            )
+        )
     recording = Recording(
         name=str(values.get("id") or folder.resolve().name),
         source=folder,
@@ -297,8 +311,8 @@ def survey_native(
         pinned_vertices=values["pinned_vertices"],
         true_vertices=true_vertices if true_vertices.is_file() else None,
         true_point_clouds=clouds or (),
-        crop=values.get("crop") or (0, 0),
-        original_size=values.get("original_size") or (camera.height, camera.width),
+        crop=(top, left),
+        original_size=original,
         times=times,
         views=views,
     )
@@ -533,7 +547,7 @@ _OPTIONAL: Mapping[str, tuple[Any, str]] = {
         Annotated[dict[str, str], AfterValidator(_relative)],
         'paths for "template", "texture", "rgb", "mask", the last two with %03d',
     ),
-    "crop": (tuple[Annotated[int, _WHOLE], Annotated[int, _WHOLE]], "[top, left] in px"),
+    "crop": (_Original, "[top, left] in px"),
     "original_size": (_Original, "[height, width] in px"),
     "id": (Annotated[str, BeforeValidator(str)], "name of the scene"),
     "cameras": (Annotated[tuple[CameraEntry, ...], Field(min_length=1)], EXPECTED),

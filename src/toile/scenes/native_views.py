@@ -73,7 +73,7 @@ class CameraEntry(BaseModel):
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
 
-    name: Annotated[str, Field(pattern=r"[\w.-]+")]
+    name: Annotated[str, Field(pattern=r"^[\w-][\w.-]*$")]
     image_size: tuple[Count, Count]
     K: Annotated[tuple[_Row, _Row, _Row], AfterValidator(without_skew)]
     R: tuple[_Row, _Row, _Row] = NO_ROTATION

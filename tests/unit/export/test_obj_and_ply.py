@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -67,3 +68,17 @@ def test_ply_keeps_vertices_order_and_quads_exactly(
     header = paths[0].read_bytes().split(b"end_header\n")[0].decode()
     assert "element face 6" in header
     assert "property double s" in header
+
+
+@pytest.mark.parametrize(("export", "kind"), [(export_obj, "obj"), (export_ply, "ply")])
+def test_frames_of_a_longer_animation_do_not_stay(
+    animation: ClothAnimation, tmp_path: Path, export: Callable[..., list[Path]], kind: str
+) -> None:
+    paths = export(animation, tmp_path)
+    later = paths[-1].with_name(f"frame_{len(paths):04d}.{kind}")
+    other = tmp_path / f"frame_of_mine.{kind}"
+    for path in (later, other):
+        path.write_text("earlier")
+    assert export(animation, tmp_path) == paths
+    assert all(path.is_file() for path in (*paths, other))
+    assert not later.exists()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import imageio.v3 as iio
 import imageio_ffmpeg
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import ExifTags, Image
 
 from toile.errors import InputError
 from toile.preparation import video as video_module
@@ -83,6 +84,32 @@ def test_a_clip_filmed_upright_stays_upright(video: Path, tmp_path: Path, caplog
     assert last[: WIDTH // 3].mean() > 150
     assert last[-WIDTH // 3 :].mean() < 50
     assert caplog.text == ""
+
+
+def test_a_photo_taken_upright_is_upright(tmp_path: Path) -> None:
+    """Cameras store it on its side and say so; what calibrates them (OpenCV) turns it."""
+    rows = np.arange(4 * 6, dtype=np.uint8).reshape(4, 6) * 10
+    exif = Image.Exif()
+    exif[ExifTags.Base.Orientation] = 6
+    for k in range(2):
+        Image.fromarray(rows).save(tmp_path / f"{k}.png", exif=exif)
+    clip = open_clip(tmp_path, fps=30.0)
+    assert (clip.height, clip.width) == (6, 4)
+    (frame, _) = (np.asarray(frame) for frame in clip.frames())
+    np.testing.assert_array_equal(frame[..., 0], np.rot90(rows, -1))
+
+
+def test_a_given_rate_replaces_times_of_other_frames(tmp_path: Path) -> None:
+    folder = tmp_path / "rgbs"
+    folder.mkdir()
+    for k in range(3):
+        Image.fromarray(np.full((4, 6, 3), k, np.uint8)).save(folder / f"rgb_{k:03d}.png")
+    (tmp_path / "video.json").write_text(json.dumps({"fps": 10.0, "times": [0.0, 0.1, 0.25, 0.3]}))
+    with pytest.raises(InputError, match="4 times for 3 frames"):
+        open_clip(folder)
+    clip = open_clip(folder, fps=30.0)
+    assert clip.fps == 30.0
+    assert clip.times is None
 
 
 def test_frames_must_have_one_size(images: Path) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 
+from toile.errors import InputError
 from toile.learning.fit.module import row
 from toile.physics.cloth import Cloth
 from toile.physics.hybrid.simulator import HybridSimulator
@@ -94,7 +95,15 @@ def test_windows() -> None:
     once = [(0, 2), (1, 4), (3, 6), (4, 7)]
     assert SlidingWindows(3, 2, 1).plan(8) == once
     assert SlidingWindows(3, 2, 3).plan(8) == 3 * once
+    assert SlidingWindows(None, None, 2).plan(8) == 2 * [(0, 7)]
     assert GrowingWindows(3, 2, 2).plan(8) == [(0, 3), (0, 5), (0, 7), (0, 7)]
+
+
+@pytest.mark.parametrize("stride", [None, 4])
+def test_windows_that_would_leave_frames_out_are_refused(stride: int | None) -> None:
+    """The template was taken for the cloth of the frame that the first one began with."""
+    with pytest.raises(InputError, match=r"windows\.stride"):
+        SlidingWindows(3, stride, 1)
 
 
 @pytest.mark.parametrize("first", [0, 2])

@@ -56,6 +56,21 @@ def test_a_cropped_scene_survives_the_round_trip_and_keeps_its_place(
     assert again.camera == cropped.camera
 
 
+def test_a_crop_alone_says_how_large_the_original_was_at_least(tiny_scene: Scene, tiny_folder: Path) -> None:
+    file = tiny_folder / "scene.json"
+    description = json.loads(file.read_text())
+    description["crop"] = [10, 5]
+    description.pop("original_size", None)
+    file.write_text(json.dumps(description))
+    height, width = tiny_scene.masks.shape[1:]
+    scene = load_native(tiny_folder, crop_margin=None)
+    assert (scene.crop, scene.original_size) == ((10, 5), (10 + height, 5 + width))
+    for bad in ({"crop": [-3, 0]}, {"crop": [10, 5], "original_size": [height, width]}):
+        file.write_text(json.dumps({**description, **bad}))
+        with pytest.raises(InputError, match="crop"):
+            load_native(tiny_folder, crop_margin=None)
+
+
 def test_cropping_shifts_camera_and_images_together(tiny_scene: Scene, tiny_folder: Path) -> None:
     scene = load_native(tiny_folder, crop_margin=5)
     top, left = scene.crop

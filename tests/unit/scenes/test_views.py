@@ -214,6 +214,16 @@ def test_what_is_wrong_with_native_cameras_is_named(native: Path) -> None:
         load_multi_view(native)
 
 
+@pytest.mark.parametrize("name", ["../../elsewhere", "a/b", "..", ""])
+def test_a_camera_is_no_path(native: Path, name: str) -> None:
+    """Scenes are written into folders by the names of their cameras."""
+    description = json.loads((native / "scene.json").read_text())
+    description["cameras"][1]["name"] = name
+    (native / "scene.json").write_text(json.dumps(description))
+    with pytest.raises(InputError, match="name"):
+        load_multi_view(native)
+
+
 def test_a_camera_that_looks_away_is_a_warning(native: Path) -> None:
     description = json.loads((native / "scene.json").read_text())
     turned = np.array(description["cameras"][2]["R"]) * [[-1], [1], [-1]]

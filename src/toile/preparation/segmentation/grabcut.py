@@ -202,7 +202,8 @@ def _moved(previous: Segmented, frame: Frame, margin: float) -> Mask:
 def _area_around(mask: Mask, margin: float) -> Area:
     """Rows and columns of a mask and ``margin`` (fraction of its size) around it."""
     rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
-    grow = int(np.ceil(margin * np.sqrt(mask.sum())))
+    # Without any background nothing would be cut off.
+    grow = max(1, int(np.ceil(margin * np.sqrt(mask.sum()))))
     return (
         slice(max(rows[0] - grow, 0), rows[-1] + 1 + grow),
         slice(max(columns[0] - grow, 0), columns[-1] + 1 + grow),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -49,6 +50,14 @@ class Intrinsics:
         return Camera(fx, fy, cx, cy, height=size[0], width=size[1])
 
 
+def _declared_size(description: Mapping[str, Any]) -> list[int] | None:
+    """Height and width of the images that a camera belongs to [px]; None where nothing says them."""
+    sides = description.get("image_size")
+    if sides is None and {"height", "width"} & set(description):
+        sides = [description["height"], description["width"]]
+    return None if sides is None else [int(value) for value in sides]
+
+
 def _read(path: Path, size: tuple[int, int]) -> dict[str, Any]:
     if not path.is_file():
         raise InputError("Camera file is missing", where=str(path), expected=_EXPECTED, got="no such file")
@@ -63,7 +72,7 @@ def _read(path: Path, size: tuple[int, int]) -> dict[str, Any]:
         numbers = [float(value) for value in (fx, fy, cx, cy)]
         if not all(map(math.isfinite, numbers)):
             raise ValueError("not finite")
-        declared = [int(value) for value in description.get("image_size", size)]
+        declared = _declared_size(description) or list(size)
     except (ValueError, KeyError, TypeError) as error:
         got = f"{type(error).__name__}: {error}"
         raise InputError(
@@ -72,7 +81,7 @@ def _read(path: Path, size: tuple[int, int]) -> dict[str, Any]:
     if declared != list(size):
         raise InputError(
             "Camera belongs to images of another size",
-            where=f"{path}: image_size",
+            where=str(path),
             expected=f"{size[0]} x {size[1]} px (height x width), as rgb_000.png",
             got=f"{' x '.join(map(str, declared))}; intrinsics must be scaled with the images",
         )

@@ -14,7 +14,7 @@ from toile.geometry.mesh import grid_faces
 from toile.geometry.point_cloud import largest_cluster, require_enough, seen_surface, smooth_depth
 from toile.geometry.quadrilateral import smooth_side
 from toile.geometry.surface import Floats, border_of_disc, nearest_points
-from toile.limits import Count, Fraction, NonNegative
+from toile.limits import Fraction, NonNegative, TwoOrMore
 from toile.preparation.template_making.axes import Axes
 from toile.preparation.template_making.gridding import grid_on_disc
 from toile.preparation.template_making.still import Still
@@ -44,7 +44,7 @@ class PointsSurface:
     axes: Axes
     smoothing: NonNegative
     minimum_cover: Fraction
-    side_degree: Count
+    side_degree: TwoOrMore
 
     def lay_grid(self, still: Still, layout: Layout) -> SurfaceGrid:
         """Lay a grid on the surface that the points inside the mask show; see Surface."""

@@ -44,8 +44,12 @@ class SlidingWindows(Windows):
 
     Args:
         lag: frames whose forces are found together; None: all from frame 0 on.
-        stride: frames by which the window advances; None: the whole clip at once.
+        stride: frames by which the window advances, ``lag`` at most; None, with no ``lag``: the whole clip at
+            once.
         repeats: how often the clip is gone through.
+
+    Raises:
+        InputError: windows would leave frames out between them.
     """
 
     def __init__(
@@ -54,6 +58,14 @@ class SlidingWindows(Windows):
         stride: Annotated[Count, Unit("frames")] | None,
         repeats: Count,
     ) -> None:
+        if lag is not None and (stride is None or stride > lag):
+            # The first one would not even begin at the clip's first frame.
+            raise InputError(
+                "Windows would leave frames out",
+                where="windows.stride",
+                expected=f"{lag} frames (windows.lag) at most, or windows.lag=null for the whole clip",
+                got="null" if stride is None else str(stride),
+            )
         self.lag = lag
         self.stride = stride
         self.repeats = repeats

@@ -12,6 +12,8 @@ from torch import Tensor
 
 def _blur(images: Tensor, sigma: float) -> Tensor:
     """Gaussian blur of (F, C, h, w); the kernel ends at three standard deviations."""
+    if sigma == 0:
+        return images
     size = 2 * int(3 * sigma + 0.5) + 1
     return gaussian_blur2d(images, (size, size), (sigma, sigma), border_type="replicate")
 

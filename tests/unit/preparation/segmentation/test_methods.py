@@ -55,6 +55,11 @@ def test_grabcut_follows_the_moving_cloth(before_wall, start) -> None:
     assert min(overlaps(GrabCut(Cleaning(), **marked), before_wall)) > 0.95
 
 
+def test_grabcut_without_a_margin_still_cuts(before_wall) -> None:
+    """With no background in view it took the whole box for the cloth."""
+    assert min(overlaps(GrabCut(Cleaning(), box=BOX, margin=0.0), before_wall)) > 0.8
+
+
 def test_grabcut_finds_the_same_twice(before_wall) -> None:
     one, two = (
         [s.mask for s in GrabCut(Cleaning(), box=BOX).masks(before_wall.frames[:2])] for _ in range(2)

@@ -78,6 +78,8 @@ def test_missing_and_empty_images(folder) -> None:
     "description",
     [
         {"K": [[420.0, 0, 163.0], [0, 410.0, 117.5], [0, 0, 1]], "image_size": [240, 320]},
+        # As the calibration of docs/video.md writes it.
+        {"K": [[420.0, 0, 163.0], [0, 410.0, 117.5], [0, 0, 1]], "width": 320, "height": 240},
         {"focal_length": [420.0, 410.0], "optical_center": [163.0, 117.5]},
     ],
 )
@@ -98,6 +100,11 @@ def test_camera_files_of_both_layouts(folder, description, tmp_path) -> None:
             {"focal_length": [420.0, 410.0], "optical_center": [163.0, 117.5], "image_size": [1, 2]},
             "another size",
         ),
+        (
+            {"K": [[840.0, 0, 326.0], [0, 820.0, 235.0], [0, 0, 1]], "width": 640, "height": 480},
+            "480 x 640",
+        ),
+        ({"K": [[840.0, 0, 326.0], [0, 820.0, 235.0], [0, 0, 1]], "width": 640}, "height"),
         ({"focal_length": [-420.0, 410.0], "optical_center": [163.0, 117.5]}, "not positive"),
     ],
 )
