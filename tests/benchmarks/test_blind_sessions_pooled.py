@@ -49,6 +49,17 @@ def test_a_session_in_two_sets_is_refused(pooled: ModuleType, tmp_path: Path) ->
         pooled.marks(tmp_path)
 
 
+def test_maps_of_what_moves_count_no_more(
+    pooled: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copy(RESULTS / "blind_sessions_eleventh_medium_marks.csv", tmp_path)
+    for known in (False, True):
+        monkeypatch.setattr(pooled, "OF_CAUSES", ("eleventh_medium",) if known else ())
+        marked = pooled.marks(tmp_path).dropna(subset="vertices_auprc")
+        assert ("blender" in set(marked["generator"])) == known
+        assert "mujoco" in set(marked["generator"])
+
+
 def test_the_present_method_is_measured_by_its_own_sets(
     pooled: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

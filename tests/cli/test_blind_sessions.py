@@ -207,6 +207,21 @@ def test_the_engine_that_made_a_cloth_extends_it(blind, monkeypatch: pytest.Monk
     assert "3 of 3 sessions" in out
 
 
+def test_maps_that_are_graded_are_hashed_too(blind) -> None:
+    assert blind("run").status == 0
+    path = next(PREDICTIONS.glob("*/diagnosis.json"))
+    (PREDICTIONS / "predictions.json").unlink()
+    values = json.loads(path.read_text())
+    values["where"]["acts_on"] = "acts_on_vertices.npy"
+    path.write_text(json.dumps(values))
+    path.with_name("acts_on_vertices.npy").write_bytes(b"a map")
+    assert blind("run").status == 0
+    path.with_name("acts_on_vertices.npy").write_bytes(b"another")
+    status, _, err = blind("grade")
+    assert status == 2
+    assert "acts_on_vertices.npy" in err
+
+
 def test_another_answer_after_extending_is_refused(blind) -> None:
     assert blind("run").status == 0
     path = next(PREDICTIONS.glob("*/diagnosis.json"))

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from toile.diagnosis.record import DIAGNOSIS_FILE, NONE, UNKNOWN, GapReport
+from toile.diagnosis.record import AMBIGUOUS, DIAGNOSIS_FILE, NONE, UNKNOWN, GapReport
 from toile.errors import InputError
 from toile.json_file import read_json_object
 
@@ -116,8 +116,12 @@ def _answer(report: GapReport, added: Mapping[str, Any], following: Any) -> Answ
     probabilities = {str(k): float(v) for k, v in (added.get("probabilities") or {}).items()}
     if not probabilities:
         probabilities = {effect.name: effect.probability for effect in report.effects}
-        # Of none and unknown a report says nothing but its verdict.
-        probabilities.setdefault(verdict.effect, verdict.probability)
+        if verdict.effect == AMBIGUOUS:
+            # Which of them is the most probable, and how much, is not said: `none` may be.
+            probabilities = {}
+        else:
+            # Of none and unknown a report says nothing but its verdict.
+            probabilities.setdefault(verdict.effect, verdict.probability)
     classes = tuple(tuple(map(str, c)) for c in added.get("equivalence_classes") or ())
     claimed = {verdict.effect, *map(str, added.get("class") or ())}
     # Only what was declared for the session counts: a class of all effects would always be right.

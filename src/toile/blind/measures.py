@@ -51,6 +51,14 @@ class Statistic:
         """Number of rows that have a value."""
         return len(_column(rows, self.column))
 
+    def behind(self, rows: pd.DataFrame) -> int:
+        """Number of rows that its value is of: of the worst effect, the fewest where several are as bad."""
+        if not self.worst_effect:
+            return self.count(rows)
+        values, effects = self._sample(rows)
+        each = [values[effects == effect] for effect in np.unique(effects)]
+        return min(len(one) for one in each if one.mean() == min(other.mean() for other in each))
+
     def interval(self, rows: pd.DataFrame, resamplings: int, rng: np.random.Generator) -> tuple[float, float]:
         """95 % interval by resampling the scenes that have a value."""
         sample = self._sample(rows)
@@ -134,7 +142,9 @@ def mark(
         "size": size_in_label(label),
     }
     if report is None:
-        return row | {"answer": "no diagnosis", "stage_right": False, "top1": False, "set_right": False}
+        # Wrong in everything that is asked of it.
+        wrong = dict.fromkeys(("stage_right", "top1", "set_right", "pair_right", "abstains"), False)
+        return row | {"answer": "no diagnosis", **wrong, "false_alarm": True, "confidently_wrong": True}
     verdict = report.verdict
     row |= _marks(verdict, truth, label["stage_accept"])
     row["candidates"] = ", ".join(verdict.candidates)
@@ -429,11 +439,18 @@ def shrink_marks(report: GapReport, verdict: Verdict, truth: str) -> dict[str, A
     return marks
 
 
+_ACTS_ON = 2
+"""Format of Blender's labels from which on they name the vertices that an effect acts on."""
+
+
 def localisation(report: GapReport, sealed: Sealed, folder: Path) -> dict[str, Any]:
     """Marks of where and when, for effects that do not act everywhere and always."""
     marks: dict[str, Any] = {}
     where = sealed.label.get("localisation", {})
     vertices, frames = where.get("vertices"), where.get("frames")
+    if sealed.label.get("engine") == "blender" and sealed.label.get("format", 1) < _ACTS_ON:
+        # Which vertices move says nothing of where the cause is.
+        vertices = None
     # Where the effect that is named acts; of others what the base model is wrong by.
     path = report.where.acts_on or report.where.vertices
     if vertices and path is not None and (folder / path).is_file():
@@ -468,7 +485,7 @@ def _interval(
     """95 % interval over scenes."""
     low, high = measure.value.interval(rows, resamplings, rng)
     if measure.proportion and low == high and value in (0.0, 1.0):
-        n = measure.value.count(rows)
+        n = measure.value.behind(rows)
         found = binomtest(round(value * n), n).proportion_ci(method="wilson")
         return float(found.low), float(found.high)
     return low, high

@@ -173,8 +173,14 @@ def write_predictions(blind: BlindSet, predictions: Predictions, *, incomplete: 
                 expected="one of every scene; the same command makes what is missing",
                 got="see failure.txt" if predictions.failure(name).is_file() else "none",
             )
-        verdict = read_answer(path).report.to_json()["verdict"]
-        entries[name] = {"verdict": verdict, "sha256": _hash_of(path.read_bytes())}
+        report = read_answer(path).report
+        beside = {
+            str(file): _hash_of((path.parent / file).read_bytes())
+            for file in (report.where.vertices, report.where.acts_on, SECONDS_FILE)
+            if file and (path.parent / file).is_file()
+        }
+        verdict = report.to_json()["verdict"]
+        entries[name] = {"verdict": verdict, "sha256": _hash_of(path.read_bytes()), "beside": beside}
     text = json.dumps({"predictions": entries}, indent=1, sort_keys=True) + "\n"
     digest = _hash_of(text.encode())
     write_text(predictions.list, text)
@@ -211,6 +217,11 @@ def read_predictions(blind: BlindSet, predictions: Predictions) -> dict[str, Gap
         got = _hash_of(path.read_bytes()) if path.is_file() else "no file"
         if got != entry["sha256"]:
             raise _changed(path, entry["sha256"], got)
+        for file, known in entry.get("beside", {}).items():
+            other = path.parent / file
+            got = _hash_of(other.read_bytes()) if other.is_file() else "no file"
+            if got != known:
+                raise _changed(other, known, got)
         found[name] = read_answer(path).report
     return found
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -75,7 +75,9 @@ def mark_session(
         "seconds": seconds,
     }
     if answer is None:
-        return row | {"answer": "no diagnosis", "right": False, "set_right": False, "pair_right": False}
+        # Wrong in everything that is asked of it.
+        wrong = dict.fromkeys(("right", "set_right", "pair_right", "abstains"), False)
+        return row | {"answer": "no diagnosis", **wrong, "false_alarm": True, "confidently_wrong": True}
     verdict = answer.report.verdict
     first = first_clip(sealed)
     row |= {
@@ -418,10 +420,20 @@ def _relative_size(answer: Answer, truth: str) -> float:
 
 
 def _as_reported(answer: Answer, sealed: Sealed) -> Sealed:
-    """The label with the frames that the diagnosis has scored: of the first clip, or of all in a row."""
+    """The label with the frames that the diagnosis has scored: of the first clip, or of all in a row.
+
+    With none where these are others, those of a clip that was recorded later among them.
+    """
     counts = sealed.label.get("n_frames")
-    if counts is None or len(answer.report.where.frames) != sum(counts):
-        return first_clip(sealed)
+    if counts is None:
+        return sealed
+    scored = len(answer.report.where.frames)
+    if scored != sum(counts):
+        first = first_clip(sealed)
+        if scored == counts[0]:
+            return first
+        unknown = {**first.label.get("localisation", {}), "frames": None}
+        return replace(first, label={**first.label, "localisation": unknown})
     begins = np.cumsum([0, *counts[:-1]])
     places = [clip.get("localisation", {}) for clip in sealed.label["clips"]]
     frames = None

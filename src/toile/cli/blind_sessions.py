@@ -252,7 +252,14 @@ def _extend(
     elif planned.generator == "blender":
         small = min(setup.grid) < 16
         spare = make_spare_clip_with_blender(
-            planned.name, planned.effects, planned.seed, plan, attempt, said["strengths"], small=small
+            planned.name,
+            planned.effects,
+            planned.seed,
+            plan,
+            attempt,
+            said["strengths"],
+            steps=said.get("steps"),
+            small=small,
         )
     else:
         spare = make_spare_clip(setup, request, plan, attempt, strengths)

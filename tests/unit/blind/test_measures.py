@@ -172,6 +172,29 @@ def test_wilson_where_all_scenes_agree() -> None:
     assert row["high"] == pytest.approx(1.96**2 / (10 + 1.96**2), rel=1e-4)
 
 
+def test_the_worst_effect_is_as_sure_as_its_own_scenes() -> None:
+    right = [marked(label("frame_rate"), answer("frame_rate")) for _ in range(8)]
+    wrong = [marked(label(name), answer("frame_rate")) for name in ("air_drag", "gusts") for _ in range(2)]
+    wrong += [marked(label("internal_damping"), answer("frame_rate")) for _ in range(3)]
+    marks = pd.DataFrame(right + wrong).assign(identifiable=True, naive_top1=None)
+    row = measured(marks, resamplings=20, seed=0).set_index("measure").loc["top-1, worst effect"]
+    assert row["value"] == 0.0
+    assert row["high"] == pytest.approx(1.96**2 / (2 + 1.96**2), rel=1e-4)
+
+
+def test_vertices_that_move_are_not_where_a_cause_is(tmp_path: Path) -> None:
+    """Labels of Blender's scenes before format 2: any map of a drag had 0.8."""
+    report = replace(answer("air_drag"), where=Where({}, (1.0, 1.0, 4.0, 3.0), "scores.npy"))
+    np.save(tmp_path / "scores.npy", np.linspace(0, 1, 4)[:, None] * np.ones(3))
+    vertices = np.zeros((4, 4, 3, 3), np.float32)
+    for engine, known in (({}, True), ({"engine": "blender", "format": 1}, False)):
+        truth = {**label("air_drag"), **engine}
+        row = mark("x", Sealed(truth, vertices, vertices), report, tmp_path, alias=0.9)
+        assert ("vertices_auprc" in row) == known
+    truth = {**label("air_drag"), "engine": "blender", "format": 2}
+    assert "vertices_auprc" in mark("x", Sealed(truth, vertices, vertices), report, tmp_path, alias=0.9)
+
+
 def test_scores_on_another_grid_than_the_labels(tmp_path: Path) -> None:
     """Vertices of a label count on the scene's grid, scores on that of the model."""
     report = answer("air_drag")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -256,3 +257,33 @@ def test_without_the_true_effect_there_is_no_share(tmp_path: Path) -> None:
     found = marks(tmp_path, sealed("contact"), "gusts", shrinks={"gusts": shrunk(8.0)})
     assert "share_of_oracle" not in found
     assert found["shrink_runner_up"] == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize(
+    ("truth", "wrong"),
+    [
+        (sealed(), {"false_alarm": True, "set_right": False}),
+        (sealed("shrinking", outside=True), {"abstains": False, "confidently_wrong": True}),
+    ],
+)
+def test_no_answer_is_wrong_in_everything(tmp_path: Path, truth: Sealed, wrong: dict[str, bool]) -> None:
+    """It dropped out of the rates that it makes worse."""
+    found = mark_session("s", truth, None, tmp_path, None)
+    assert {name: found[name] for name in wrong} == wrong
+
+
+def test_which_of_an_ambiguous_answer_is_most_probable_is_not_said(tmp_path: Path) -> None:
+    """The probability of a verdict is that of its whole set."""
+    found = marks(tmp_path, sealed("air_drag"), "ambiguous")
+    assert "stated" not in found
+    found = marks(tmp_path, sealed("air_drag"), "ambiguous", probabilities={"air_drag": 0.6, "none": 0.4})
+    assert (found["stated"], found["stated_right"]) == (0.6, True)
+
+
+def test_frames_of_a_clip_that_was_added_are_not_marked(tmp_path: Path) -> None:
+    truth = sealed("air_drag")
+    answer = read_answer(answered(tmp_path, "air_drag"))
+    where = replace(answer.report.where, frames=(*answer.report.where.frames, 4.0, 4.0))
+    longer = replace(answer, report=replace(answer.report, where=where))
+    assert "frames_f1" in mark_session("s", truth, answer, tmp_path, 60.0)
+    assert "frames_f1" not in mark_session("s", truth, longer, tmp_path, 60.0)

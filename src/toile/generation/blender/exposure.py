@@ -63,4 +63,5 @@ def grown(mask: NDArray[np.bool_], pixels: float) -> NDArray[np.bool_]:
     if pixels == 0:
         return mask
     distance: Array = distance_transform_edt(~mask if pixels > 0 else mask)
-    return distance <= pixels if pixels > 0 else distance > -pixels
+    # Distances are to the middles of pixels, half a pixel beyond the edge.
+    return distance - 0.5 <= pixels if pixels > 0 else distance - 0.5 >= -pixels

@@ -32,7 +32,8 @@ Array = NDArray[np.float64]
 
 TWIN_FILE = "ground_truth/null_twin_vertices.npy"
 """(F, H, W, 3) [m]: the same motion without the effect."""
-LABEL_FORMAT = 1
+LABEL_FORMAT = 2
+"""In the first one ``vertices`` were those that an effect moves."""
 _PIXEL_OF_EFFECT = 0.005
 _LEAST_SLOPE = 0.1
 """Of an effect's size over its strength, both in logarithms: a patch that is rigid does no more."""
@@ -158,8 +159,9 @@ def label(settings: BlenderSettings, vertices: Array, twin: Array) -> dict[str, 
     - ``parameters``: of the effect; ``declared`` and ``true``: focal length, frame rate, gravity
     - ``magnitude``: distance to the twin as fractions of the cloth's width: ``mean_last_third``,
       ``max_last_third``, ``mean_all``, ``max_all``, ``per_frame_mean``
-    - ``localisation``: ``frames`` and ``vertices`` (i * W + j) that differ from the twin by over half a
-      percent of the width; of an effect in the picture, all frames
+    - ``localisation``: ``frames`` that differ from the twin by over half a percent of the width, of an effect
+      in the picture all; ``vertices`` (i * W + j) that the effect acts on, None where that is everywhere or
+      not known (contact)
     - ``nuisance``: what else the base model lacks; ``settings``: all settings
 
     Args:
@@ -171,7 +173,6 @@ def label(settings: BlenderSettings, vertices: Array, twin: Array) -> dict[str, 
     distance = np.linalg.norm(vertices - twin, axis=-1) / settings.cloth_size[0]
     last = distance[_last_third(len(distance))]
     frames = np.flatnonzero(distance.mean((1, 2)) > _PIXEL_OF_EFFECT).tolist()
-    moved = np.flatnonzero(last.mean(0).ravel() > _PIXEL_OF_EFFECT).tolist()
     if effect.stage not in ("none", "mechanics", "actuation"):
         frames = list(range(len(distance)))
     values = settings.values
@@ -202,7 +203,7 @@ def label(settings: BlenderSettings, vertices: Array, twin: Array) -> dict[str, 
             "max_all": float(distance.max()),
             "per_frame_mean": distance.mean((1, 2)).round(5).tolist(),
         },
-        "localisation": {"frames": frames, "vertices": moved},
+        "localisation": {"frames": frames, "vertices": _acted_on(settings, vertices.shape[1:3])},
         "nuisance": {"wind": settings.wind},
         "settings": {
             name: dict(value) if name == "parameters" else value
@@ -212,6 +213,18 @@ def label(settings: BlenderSettings, vertices: Array, twin: Array) -> dict[str, 
     }
     values_only: dict[str, Any] = json.loads(json.dumps(result))
     return values_only
+
+
+def _acted_on(settings: BlenderSettings, grid: tuple[int, ...]) -> list[int] | None:
+    """Vertices that the effect acts on; None where that is everywhere, nowhere or not known."""
+    height, width = grid
+    match settings.effect:
+        case "nonuniform_stiffness":
+            return np.flatnonzero(world.patch(settings, grid).ravel() > 0.5).tolist()
+        case "anchor_slip":
+            return [(height - 1) * width]
+        case _:
+            return None
 
 
 def _simulated(

@@ -255,7 +255,8 @@ class RigidObstacle(PenaltyContact, FlexEffect):
         if self.strength <= 0:
             return ""
         back = (1 - min(self.strength, 1.0)) * self.range
-        surface = f'friction="{self.friction} 0.005 0.0001" solref="0.01 1"'
+        # Without a priority of its own the larger friction counts, and that is the cloth's, 1.
+        surface = f'friction="{self.friction} 0.005 0.0001" priority="1" solref="0.01 1"'
         if self.ball:
             centre = (self.centre + back * self.normal).tolist()
             place = " ".join(map(repr, centre))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -101,10 +102,11 @@ def film(
     for frame in range(n_frames):
         rgb_sum, coverage_sum = None, None
         moments = _moments(frame, substeps, len(motion), exposure, settings.blur_samples)
-        rendered: dict[int, tuple[Array, Array]] = {}
+        rendered: dict[float, tuple[Array, Array]] = {}
         for index in moments:
             if index not in rendered:
-                positions = motion[index].reshape(-1, 3)
+                before, after = motion[math.floor(index)], motion[math.ceil(index)]
+                positions = torch.lerp(before, after, index % 1.0).reshape(-1, 3)
                 seen = _seen(positions, camera, effects)[None]
                 images = renderer.render(
                     seen, faces, printed.coordinates.reshape(-1, 2), printed.texture, camera
@@ -182,11 +184,10 @@ def _mean_brightness(effect: OutOfFamilyEffect, pose: Tensor, faces: Tensor) -> 
     return float(factor.mean().clamp(min=0.05))
 
 
-def _moments(frame: int, substeps: int, n: int, exposure: float, samples: int) -> list[int]:
-    """Indices of the sub-steps that a frame sees."""
+def _moments(frame: int, substeps: int, n: int, exposure: float, samples: int) -> list[float]:
+    """Moments that a frame sees, in sub-steps: the middles of equal parts of the time that it is exposed."""
     centre = frame * substeps
     if exposure <= 0 or frame == 0:
-        return [centre]
-    half = 0.5 * exposure * substeps
-    offsets = np.linspace(-half, half, samples)
-    return [int(np.clip(round(centre + o), 0, n - 1)) for o in offsets]
+        return [float(centre)]
+    offsets = ((np.arange(samples) + 0.5) / samples - 0.5) * exposure * substeps
+    return [float(np.clip(centre + o, 0, n - 1)) for o in offsets]

@@ -14,7 +14,8 @@ import torch
 
 from toile.errors import InputError
 from toile.generation.blender import process
-from toile.generation.blender.effects import EFFECTS, effect_named
+from toile.generation.blender.balance import balanced
+from toile.generation.blender.effects import EFFECTS, WITHIN, effect_named
 from toile.generation.blender.scene import TWIN_FILE, blender_scene, matched
 from toile.generation.blender.settings import BlenderSettings, random_settings
 from toile.generation.clip_plan import ClipPlan
@@ -117,11 +118,13 @@ def make_clips_with_blender(
     last: Exception | None = None
     for attempt in range(_ATTEMPTS):
         try:
-            first = clip_settings(name, effects, seed, attempt, clips[0], small=small)
-            parameters = _sized(first, effects)
-            made = [_clip(name, effects, seed, attempt, clips[0], parameters, small)]
+            planned = [clip_settings(name, effects, seed, attempt, plan, small=small) for plan in clips]
+            parameters, steps = _of_all(planned, effects)
+            made = [_clip(name, effects, seed, attempt, clips[0], parameters, steps, small)]
             _check_size(made[0], effects, _SMALLEST_SHARES[attempt])
-            made += [_clip(name, effects, seed, attempt, plan, parameters, small) for plan in clips[1:]]
+            made += [
+                _clip(name, effects, seed, attempt, plan, parameters, steps, small) for plan in clips[1:]
+            ]
         except process.BlenderError:
             raise
         except (ArithmeticError, RuntimeError) as error:
@@ -143,6 +146,7 @@ def make_spare_clip_with_blender(
     attempt: int,
     strengths: Mapping[str, Mapping[str, float]],
     *,
+    steps: int | None = None,
     small: bool = False,
 ) -> MadeScene:
     """One more clip of a session that has been made.
@@ -154,13 +158,15 @@ def make_spare_clip_with_blender(
         plan: of the clip.
         attempt: as the labels of the session say.
         strengths: as the labels of the session say.
+        steps: as the labels of the session say; None where they do not, for as many as this clip needs.
         small: as for make_clips_with_blender.
 
     Raises:
         InputError: bpy is missing, or the clip cannot be made.
+        SimulationError: it needs more steps than the session has.
     """
     parameters = dict(strengths[effects[0][0]]) if effects else {}
-    return _clip(name, effects, seed, attempt, plan, parameters, small)
+    return _clip(name, effects, seed, attempt, plan, parameters, steps, small)
 
 
 def _clip(
@@ -170,18 +176,47 @@ def _clip(
     attempt: int,
     plan: ClipPlan,
     parameters: Mapping[str, float],
+    steps: int | None,
     small: bool,
 ) -> MadeScene:
     settings = clip_settings(name, effects, seed, attempt, plan, small=small)
+    settings = replace(settings, parameters=dict(parameters), steps=steps or settings.steps)
     levels = tuple((effect, f"{size:g} %") for effect, size in effects)
-    made = _made(replace(settings, parameters=dict(parameters)), levels)
+    made = _made(settings, levels)
+    taken = int(made.label["settings"]["steps"])
+    if steps is not None and taken != steps:
+        raise SimulationError(f"{plan.motion} needs {taken} steps a frame, the session has {steps}")
     session = {
         "motion": plan.motion,
         "attempt": attempt,
+        "steps": taken,
         "strengths": {effect: dict(parameters) for effect, _ in effects},
         "forms": {effect: "blender" for effect, _ in effects},
     }
     return replace(made, label={**made.label, "session": session})
+
+
+def _of_all(
+    clips: Sequence[BlenderSettings], effects: Sequence[tuple[str, float]]
+) -> tuple[dict[str, float], int]:
+    """Parameters of the effect, and steps a frame in which all clips keep the balance of torques.
+
+    All have the same: shorter steps damp less, and by another damping a clip is of another cloth (1 % of the
+    width and more between 8 and 32 steps).
+    """
+    with tempfile.TemporaryDirectory(prefix="toile-blender-") as scratch:
+
+        def needed(sized: Sequence[BlenderSettings], *, with_effect: bool) -> int:
+            return max(balanced(one, Path(scratch), with_effect=with_effect).steps for one in sized)
+
+        steps = needed(clips, with_effect=False)
+        while True:
+            parameters = _sized(replace(clips[0], steps=steps), effects)
+            sized = [replace(one, steps=steps, parameters=parameters) for one in clips]
+            more = needed(sized, with_effect=True) if sized[0].effect in WITHIN else steps
+            if more == steps:
+                return parameters, steps
+            steps = more
 
 
 def clip_settings(

@@ -140,7 +140,10 @@ class RaggedMask(OutOfFamilyEffect):
         ragged = gaussian_filter(rng.standard_normal(mask.shape), 3.0)
         ragged = 1 + 0.5 * ragged / ragged.std()
         inside = mask > 0.5
-        outside_by = distance_transform_edt(~inside) - distance_transform_edt(inside)
+        # Distances are to the middles of pixels, half a pixel beyond the edge.
+        outside_by = np.where(
+            inside, 0.5 - distance_transform_edt(inside), distance_transform_edt(~inside) - 0.5
+        )
         return (outside_by <= self.growth * ragged).astype(mask.dtype)
 
     def comparable(self) -> dict[str, float]:

@@ -94,3 +94,30 @@ def test_a_session_and_its_spare_clip(monkeypatch: pytest.MonkeyPatch) -> None:
     session = made[0].label["session"]
     spare = make_spare_clip_with_blender("s", effects, 4, CLIPS[1], session["attempt"], session["strengths"])
     assert torch.equal(spare.vertices, made[1].vertices)
+
+
+def test_all_clips_have_the_steps_that_one_of_them_needs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Shorter steps damp less: by others a clip was of another cloth."""
+    asked = []
+
+    def needs(one: BlenderSettings, work: object, *, with_effect: bool) -> BlenderSettings:
+        # What is let go askew needs twice the steps, and with the effect at its strength twice those again.
+        least = 16 if one.clip == CLIPS[0].stream else 8
+        least = 32 if with_effect and one.parameters.get("bend_factor") == 7.0 else least
+        asked.append((one.steps, with_effect))
+        return replace(one, steps=max(one.steps, least))
+
+    def sized(first: BlenderSettings, effects: object) -> dict[str, float]:
+        return {"bend_factor": 7.0}
+
+    monkeypatch.setattr(from_blender, "balanced", needs)
+    monkeypatch.setattr(from_blender, "_sized", sized)
+    effects = (("nonuniform_stiffness", 3.0),)
+    planned = [clip_settings("s", effects, 7, 0, plan, small=True) for plan in CLIPS]
+    planned = [replace(one, steps=8) for one in planned]
+    assert from_blender._of_all(planned, effects) == ({"bend_factor": 7.0}, 32)
+    # Once more with all that were found, which is enough.
+    assert asked[-2:] == [(32, True), (32, True)]
+    still = [replace(one, effect="none") for one in planned]
+    monkeypatch.setattr(from_blender, "_sized", lambda first, effects: {})
+    assert from_blender._of_all(still, ()) == ({}, 16)

@@ -17,6 +17,7 @@ from toile.generation.out_of_family.catalogue import (
     OUTSIDE,
     out_of_family_effect,
 )
+from toile.generation.out_of_family.film import _moments
 from toile.generation.out_of_family.interface import Measure, Reference, places_on
 from toile.generation.out_of_family.making import (
     MadeScene,
@@ -26,6 +27,7 @@ from toile.generation.out_of_family.making import (
     make_scene,
     strength_of,
 )
+from toile.generation.out_of_family.optics import RaggedMask
 from toile.generation.out_of_family.simulation import simulate_out_of_family
 from toile.generation.simulation import Sheet
 from toile.physics.cloth import grid_material
@@ -243,3 +245,27 @@ def test_grid_share_is_bounded() -> None:
 
     with pytest.raises(SimulationError, match="draws"):
         make_scene(replace(SETUP, largest_grid_share=0.0), SceneRequest("x", (), 2))
+
+
+@pytest.mark.parametrize("substeps", [5, 7, 8])
+@pytest.mark.parametrize("exposure", [0.3, 0.5, 0.9])
+def test_a_frame_sees_all_of_its_exposure_and_no_more(substeps: int, exposure: float) -> None:
+    """A box of that length: its spread is what blurs, in even frames as in odd ones."""
+    for frame in (1, 2):
+        moments = np.array(_moments(frame, substeps, 100, exposure, 7)) / substeps
+        assert moments.mean() == pytest.approx(frame)
+        # Of seven middles instead of all moments: 1 % less.
+        assert np.sqrt(12) * moments.std() == pytest.approx(exposure, rel=0.011)
+    assert _moments(0, substeps, 100, exposure, 7) == [0.0]
+    # At its end the cloth is seen where it ends.
+    assert max(_moments(3, substeps, 3 * substeps + 1, exposure, 7)) == 3 * substeps
+
+
+@pytest.mark.parametrize("growth", [-7.0, -2.0, -1.0, 1.0, 3.0, 7.0])
+def test_a_mask_grows_by_what_its_label_says(growth: float) -> None:
+    bias = RaggedMask.__new__(RaggedMask)
+    bias.sign, bias.strength, bias.pixels_per_percent, bias.seed = np.sign(growth), abs(growth), 1.0, 3
+    inside = np.zeros((200, 200))
+    inside[40:160, 40:160] = 1
+    drawn = [np.sqrt(bias.mask(inside, frame).sum()) / 2 - 60 for frame in range(8)]
+    assert np.mean(drawn) == pytest.approx(growth, abs=0.15)
