@@ -6,8 +6,8 @@ all that the diagnosis needs. It comes from torch, so a new effect needs nothing
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -30,7 +30,7 @@ from toile.effects.jacobian import jacobian
 from toile.geometry.camera import Camera
 from toile.physics.cloth import Cloth
 from toile.physics.implicit.assembly import Assembly
-from toile.physics.implicit.terms import nominal_elements
+from toile.physics.implicit.terms import changed_elements, nominal_elements
 from toile.physics.material import Material
 from toile.physics.step_terms import ElementTerm, StepContext
 
@@ -123,6 +123,30 @@ def force_sensitivities(effect: Effect, instant: Instant, around: Surroundings) 
         # Inertia goes with the inverse square of the time step.
         return 2 * derivatives(longer, effect)[:, None, None] * instant.step.imbalance
     raise TypeError(f"{effect.NAME} does not act through forces")
+
+
+@torch.no_grad()
+def stretching_within(terms: Sequence[ElementTerm], instant: Instant, cloth: Cloth) -> Array:
+    """Change of the forces (N, 3) [N] per logarithm of Y by what terms make of it: it is in their strains.
+
+    Of a template's tension alone this is less that tension: stiffer threads are less stretched by it.
+
+    Args:
+        terms: all that act.
+        instant: see Instant.
+        cloth: that they act on.
+    """
+    assembly = _assembly(cloth)
+    coefficients = cloth.energies.coefficients(torch.from_numpy(instant.material)).numpy()
+    stretching = [p.name for p in cloth.energies.parameters].index("stretching")
+
+    def force(logarithm: float) -> Array:
+        material = instant.material.copy()
+        material[stretching] *= np.exp(logarithm)
+        assembly.set_elements(changed_elements(terms, _context(replace(instant, material=material), cloth)))
+        return -np.tensordot(coefficients, assembly.gradients(instant.step.positions), 1)
+
+    return (force(_DIFFERENCE) - force(-_DIFFERENCE)) / (2 * _DIFFERENCE)
 
 
 @torch.no_grad()

@@ -23,6 +23,7 @@ from toile.diagnosis.effect_sensitivities import (
     Instant,
     apparent_sensitivities,
     force_sensitivities,
+    stretching_within,
 )
 from toile.diagnosis.evidence import DEFAULT, Evidence, EvidenceSettings
 from toile.diagnosis.model_grid import ModelGrid
@@ -31,7 +32,8 @@ from toile.diagnosis.sensitivities import StepForces
 from toile.diagnosis.shooting import Shooting, ShootingSettings, WindowMotion, changed_simulation
 from toile.diagnosis.template_tension import template_tension
 from toile.diagnosis.tracked import Tracked
-from toile.effects.base import CameraEffect, Effect, Surroundings
+from toile.effects.base import CameraEffect, Effect, ElementEffect, Surroundings
+from toile.effects.strain_stiffening import StrainStiffening
 from toile.geometry.camera import Camera
 from toile.geometry.horizontal import horizontal_axes
 from toile.physics.frame_steps import fewest_substeps
@@ -244,13 +246,21 @@ def effect_systems(
     h = simulator.time_step
     pinned = shooting.simulator.assembly.pinned
     after = () if shooting.tension is None else (shooting.tension,)
+    # A strain that is counted from the unstretched length depends on Y, as the length does.
+    changing = [*(e for e in effects if isinstance(e, ElementEffect) and e.is_active), *after]
+    stiffening = bool(after) and any(isinstance(e, StrainStiffening) for e in changing)
 
     def shared(window: WindowMotion) -> Callable[[StepForces], Array]:
         def sensitivities(step: StepForces) -> Array:
             time = window.first / around.fps + (step.index + 1) * h
             boundary = step.positions[pinned]
             now = Instant(step, time, h, base.material, acceleration, boundary, after)
-            return np.concatenate((of_base(step), *(force_sensitivities(e, now, around) for e in forces)))
+            stiffer = of_base(step)
+            if stiffening:
+                assert shooting.tension is not None
+                stiffer[0] += stretching_within(changing, now, simulator.cloth)
+                stiffer[0] += shooting.tension.force(step.positions, simulator.cloth)
+            return np.concatenate((stiffer, *(force_sensitivities(e, now, around) for e in forces)))
 
         return sensitivities
 

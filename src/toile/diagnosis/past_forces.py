@@ -19,7 +19,7 @@ from torch import Tensor
 from toile.physics.cloth import Cloth
 from toile.physics.elements import Elements
 from toile.physics.energies.term import EnergyTerm, InternalEnergy
-from toile.physics.implicit.terms import nominal_elements, split, term_forces
+from toile.physics.implicit.terms import in_order, nominal_elements, split, term_forces
 from toile.physics.step_terms import ElementTerm, StepContext, StepTerm
 
 Array = NDArray[np.float64]
@@ -178,7 +178,7 @@ class _ElementPast:
         apart = replace(now, cloth=self._cloth, positions=x, velocities=v)
         with torch.enable_grad():
             elements = nominal_elements(self._terms, now.cloth)
-            for term in self._terms:
+            for term in in_order(self._terms):
                 elements = term.elements(elements, apart if term.own_past else now)
         at = torch.from_numpy(positions)[self._vertices]
         coefficients = now.cloth.energies.coefficients(now.material.values[0]).detach()

@@ -37,6 +37,7 @@ class TemplateTension(ElementTerm):
         tensions: (E,) [N].
     """
 
+    rank: ClassVar[int] = 2
     past_reach: ClassVar[int] = 0
     tensions: Tensor
 

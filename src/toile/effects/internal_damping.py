@@ -31,6 +31,7 @@ class InternalDamping(ElementEffect):
     NAME: ClassVar[str] = "internal_damping"
     STAGE: ClassVar[Stage] = Stage.MECHANICS
     own_past: ClassVar[bool] = True
+    rank: ClassVar[int] = 1
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
         Parameter("in_plane", "s", 0.0, 1.0, 0.02, "relaxation time of stretch and shear"),
         Parameter("bending", "s", 0.0, 1.0, 0.05, "relaxation time of bending"),
@@ -51,6 +52,9 @@ class InternalDamping(ElementEffect):
         for name in ("stretching", "shearing"):
             shape = now.cloth.energies.named(name).measure(now.positions)
             rest[name] = _shifted(elements.rest[name], shape, in_plane)
+        if now.cloth.energies.named("shearing").stencil.shape[1] == 2:
+            # A diagonal counts by its strain, so by its rest length, which is still the one before.
+            elements = elements.scaled(shearing=(rest["shearing"] / elements.rest["shearing"]).square())
         angles, towards = elements.rest["bending"].split([1, 3], dim=1)
         towards = towards + bending * _remembered(now)
         # The factor below is on all of it; what rest angles and other moments do stays as it is.

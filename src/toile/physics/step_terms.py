@@ -109,6 +109,8 @@ class ElementTerm(ABC):
     """A change of stiffness factors or rest shape; terms apply one after the other.
 
     Attributes:
+        rank: terms of a higher one go after those of a lower one, whichever was given first: what remembers a
+            shape after what changes the shape that is remembered, a load's tension after both.
         past_reach: see VertexTerm.
         own_past: whether what happened before a step changes every element through its own vertices alone.
         values: numbers inside the term (n,) that derivatives are taken by.
@@ -116,6 +118,7 @@ class ElementTerm(ABC):
             terms know of them, see Elements.
     """
 
+    rank: ClassVar[int] = 0
     past_reach: ClassVar[int] = 2
     own_past: ClassVar[bool] = False
     values: Tensor = torch.zeros(0, dtype=torch.float64)

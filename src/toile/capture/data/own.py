@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
+from hashlib import sha256
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
@@ -140,7 +141,17 @@ class OwnDomain(Domain):
             "settings": asdict(self.settings),
             "garment": {"kind": kind, **asdict(self.pattern)},
             "membrane": self.LAW.__name__,
+            **self._digests(),
             **of_motion,
+        }
+
+    def _digests(self) -> dict[str, str]:
+        """What is in the files that a set follows from: another mesh of that name is another garment."""
+        files = {"garment_file": getattr(self.pattern, "file", None), "subject_file": self.settings.subject}
+        return {
+            name: sha256(Path(file).read_bytes()).hexdigest()
+            for name, file in files.items()
+            if file is not None and Path(file).is_file()
         }
 
     def estimate(self) -> Estimate:

@@ -138,6 +138,11 @@ def vertex_energy(terms: Sequence[VertexTerm], positions: Tensor, now: StepConte
     return total
 
 
+def in_order(terms: Sequence[ElementTerm]) -> list[ElementTerm]:
+    """Terms in the order in which they apply, see ElementTerm.rank."""
+    return sorted(terms, key=lambda term: term.rank)
+
+
 def nominal_elements(terms: Sequence[ElementTerm], cloth: Cloth) -> Elements:
     """Elements before all the terms, with the tensions that one of them gives to the rest shape."""
     elements = cloth.energies.elements()
@@ -150,7 +155,7 @@ def nominal_elements(terms: Sequence[ElementTerm], cloth: Cloth) -> Elements:
 def changed_elements(terms: Sequence[ElementTerm], now: StepContext) -> Elements:
     """Elements after all the terms."""
     elements = nominal_elements(terms, now.cloth)
-    for term in terms:
+    for term in in_order(terms):
         elements = term.elements(elements, now)
     return elements
 

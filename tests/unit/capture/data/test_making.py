@@ -14,6 +14,8 @@ import trimesh
 from toile.capture.data.clips import TRUTH_FILE, Domain, PlannedClip, Truth
 from toile.capture.data.filming import CameraRing, LandmarkNoise, Looks, detected, film
 from toile.capture.data.making import clips_of, make_data
+from toile.capture.data.own import CaptureSettings, OwnDomain
+from toile.capture.garments.own_mesh import OwnMesh
 from toile.errors import InputError
 from toile.evaluation.view_silhouettes import overlap_in_views
 from toile.rendering.warp.renderer import WarpRenderer
@@ -162,3 +164,15 @@ def test_truth_that_does_not_fit_is_named(tmp_path: Path) -> None:
     )
     with pytest.raises(InputError, match="body"):
         Truth.load(tmp_path / "bad.npz")
+
+
+def test_another_mesh_of_the_same_name_is_another_data_set(tmp_path: Path) -> None:
+    """What was begun with one garment was completed with another."""
+    file, renderer = tmp_path / "skirt.obj", WarpRenderer()
+    domain = OwnDomain(CaptureSettings(), OwnMesh(str(file)), renderer)
+    found = []
+    for content in ("v 0 0 0", "v 0 0 1", "v 0 0 0"):
+        file.write_text(content)
+        found.append(domain._digests())
+    assert found[0] == found[2] != found[1]
+    assert set(found[0]) == {"garment_file"}

@@ -92,7 +92,8 @@ def test_a_session_and_its_spare_clip(monkeypatch: pytest.MonkeyPatch) -> None:
     assert made[0].label["levels"] == ["0.5 %"]
     assert made[0].scene.ground_truth is None
     session = made[0].label["session"]
-    spare = make_spare_clip_with_blender("s", effects, 4, CLIPS[1], session["attempt"], session["strengths"])
+    given = session["attempt"], session["strengths"]
+    spare = make_spare_clip_with_blender("s", effects, 4, CLIPS[1], *given, steps=session["steps"])
     assert torch.equal(spare.vertices, made[1].vertices)
 
 
