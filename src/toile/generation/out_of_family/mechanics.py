@@ -74,10 +74,14 @@ class ThinningDamping(OutOfFamilyEffect):
         a = share(0, (lengths - _lengths(before, edges)) / (h * elements.rest["stretching"]))
         shears = _shear_measure(now, x)
         b = share(1, _shear_angle(now, shears - _shear_measure(now, before)) / h)
-        return elements.scaled(stretching=1 + a, shearing=1 + b, bending=(1 + float(tau[2]) / h)).with_rest(
-            stretching=(elements.rest["stretching"] + a * lengths) / (1 + a),
-            shearing=(elements.rest["shearing"] + b * shears) / (1 + b),
-        )
+        between = (elements.rest["shearing"] + b * shears) / (1 + b)
+        shearing = 1 + b
+        if _has_diagonals(now):
+            # A diagonal counts by its strain, so by its own rest length.
+            shearing = shearing * (between / elements.rest["shearing"]).square()
+        return elements.scaled(
+            stretching=1 + a, shearing=shearing, bending=(1 + float(tau[2]) / h)
+        ).with_rest(stretching=(elements.rest["stretching"] + a * lengths) / (1 + a), shearing=between)
 
     def acceleration(self, now: StepContext) -> Tensor:
         """See RealityEffect."""
