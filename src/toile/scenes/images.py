@@ -56,7 +56,9 @@ def image_size(path: Path) -> tuple[int, int]:
 
     try:
         with Image.open(path) as image:
-            turned = image.getexif().get(ExifTags.Base.Orientation, 1) in _ON_ITS_SIDE
+            # Of a PNG without any it would be looked for behind the whole image.
+            said = image.format != "PNG" or "exif" in image.info
+            turned = said and image.getexif().get(ExifTags.Base.Orientation, 1) in _ON_ITS_SIDE
             return (image.width, image.height) if turned else (image.height, image.width)
     except FileNotFoundError as error:
         raise _missing(path) from error

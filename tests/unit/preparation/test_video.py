@@ -10,11 +10,12 @@ import imageio.v3 as iio
 import imageio_ffmpeg
 import numpy as np
 import pytest
-from PIL import ExifTags, Image
+from PIL import ExifTags, Image, ImageFile
 
 from toile.errors import InputError
 from toile.preparation import video as video_module
 from toile.preparation.video import open_clip
+from toile.scenes.images import image_size
 
 # imageio-ffmpeg leaves the pipes of an ffmpeg that has ended to the garbage collector.
 pytestmark = pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning")
@@ -97,6 +98,18 @@ def test_a_photo_taken_upright_is_upright(tmp_path: Path) -> None:
     assert (clip.height, clip.width) == (6, 4)
     (frame, _) = (np.asarray(frame) for frame in clip.frames())
     np.testing.assert_array_equal(frame[..., 0], np.rot90(rows, -1))
+
+
+def test_sizes_are_told_without_decoding(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every frame of a scene is asked for its own before anything runs."""
+    for name in ("a.png", "b.jpg"):
+        Image.fromarray(np.zeros((4, 6, 3), np.uint8)).save(tmp_path / name)
+
+    def decoded(*_: object) -> None:
+        raise AssertionError("the whole image was decoded")
+
+    monkeypatch.setattr(ImageFile.ImageFile, "load", decoded)
+    assert {image_size(tmp_path / name) for name in ("a.png", "b.jpg")} == {(4, 6)}
 
 
 def test_a_given_rate_replaces_times_of_other_frames(tmp_path: Path) -> None:
