@@ -10,8 +10,10 @@ from pathlib import Path
 import pandas as pd
 import pytest
 import yaml
+from omegaconf import OmegaConf
 
 from toile.blind.sealing import BlindSet, SealKey
+from toile.cli.blind_sessions import planned_sessions
 from toile.physics.simulator import SimulationError
 from toile.scenes.native import load_native
 from toile.scenes.session import load_session
@@ -251,6 +253,29 @@ def test_a_set_of_other_sessions_is_not_gone_on_with(blind, action: str, setting
     assert setting.partition("=")[0] in err
     assert BlindSet(SET).description.read_text() == before
     assert not PREDICTIONS.exists()
+
+
+def test_what_chosen_generators_cannot_make_is_said() -> None:
+    """Blender has no density and no strain stiffening."""
+    cfg = OmegaConf.create(
+        {
+            "composition": "sessions_effects",
+            "generators": ["blender"],
+            "clips": ["release"],
+            "blender": True,
+            "mujoco": True,
+            "out_of_family": {"n_frames": 6, "fps": 50.0},
+        }
+    )
+    sessions, notes = planned_sessions(cfg, SealKey.of_seed(1))
+    unable = [
+        session
+        for session in sessions
+        if session.effects[0][0] in ("nonuniform_density", "strain_stiffening")
+    ]
+    assert len(unable) == 2
+    assert all(session.generator == "toile" for session in unable)
+    assert any("2 sessions" in note and "no other one" in note for note in notes)
 
 
 def test_generators_are_known(toile) -> None:

@@ -73,6 +73,12 @@ def planned_sessions(cfg: DictConfig, key: SealKey) -> tuple[tuple[PlannedSessio
         composition = replace(composition, generators=_generators(cfg.generators))
     sessions = plan_sessions(composition, key.derive, clips_of(cfg), _can_make)
     notes = []
+    unable = sum(s.generator not in composition.generators for s in sessions)
+    if unable:
+        notes.append(
+            f"{unable} sessions come from the package's out-of-family generator: no other one that was asked "
+            "for has their effects"
+        )
     absent = {}
     for engine, title in _OTHER_ENGINES.items():
         planned = sum(s.generator == engine for s in sessions)
