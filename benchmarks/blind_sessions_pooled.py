@@ -1,9 +1,9 @@
-"""All sealed sessions so far, and those by the present method, in one table each.
+"""All sealed sessions so far, and those by the last method that has answered any, in one table each.
 
     make blind-sessions-pooled
 
 Writes docs/results/blind_sessions_pooled.md and .csv, the record, and blind_sessions.md and .csv, a
-measurement of one method by the sets in ``PRESENT``. Reads the marks of every graded set
+measurement of one method by the sets in ``LAST``. Reads the marks of every graded set
 (``docs/results/blind_sessions_*_marks.csv``). Every session was answered blind, each by the version of its
 day: sets of few sessions say little one by one, and the versions differ.
 """
@@ -21,7 +21,7 @@ from toile.blind.session_measures import measured_sessions, with_intervals
 
 RESULTS = Path("docs") / "results"
 STEM = "blind_sessions_pooled"
-PRESENT_STEM = "blind_sessions"
+LAST_STEM = "blind_sessions"
 SUFFIX = "_marks.csv"
 SCENE = "1, as a scene"
 """How marks call answers of the method of single clips."""
@@ -45,8 +45,8 @@ LATEST = (
     "thirteenth_medium",
 )
 """Sets answered since what the catalogue lacks has stand-ins, and contact is a candidate."""
-PRESENT = ("twelfth_medium", "first_effects", "thirteenth_medium")
-"""Those of them answered by one method: to be emptied by whatever changes the evidence or its weights."""
+LAST = ("twelfth_medium", "first_effects", "thirteenth_medium")
+"""Those of them answered by one method, the last: begun anew with the first set that another answers."""
 OF_CAUSES: tuple[str, ...] = ()
 """Sets whose labels of Blender's scenes name the vertices that an effect acts on. Before they named those
 that move, and any map of a drag had 0.8: such marks count no more."""
@@ -80,10 +80,10 @@ def marks(folder: Path = RESULTS) -> pd.DataFrame:
         ValueError: a session was answered in two sets.
     """
     found = []
-    for path in sorted(folder.glob(f"{PRESENT_STEM}_*{SUFFIX}")):
+    for path in sorted(folder.glob(f"{LAST_STEM}_*{SUFFIX}")):
         # "null" is a kind of session here.
         own = pd.read_csv(path, keep_default_na=False, na_values=[""])
-        name = path.name.removeprefix(f"{PRESENT_STEM}_").removesuffix(SUFFIX)
+        name = path.name.removeprefix(f"{LAST_STEM}_").removesuffix(SUFFIX)
         own = own.assign(clips=own["clips"].astype(str))
         if name not in OF_CAUSES and "vertices_auprc" in own:
             own.loc[own["generator"] == "blender", "vertices_auprc"] = np.nan
@@ -110,9 +110,9 @@ def pooled(every: pd.DataFrame) -> pd.DataFrame:
     return pd.concat(tables, ignore_index=True)
 
 
-def present(every: pd.DataFrame) -> pd.DataFrame:
-    """The measures over the sets that the present method has answered."""
-    own = every[every["set"].isin(PRESENT) & (every["clips"] != SCENE)]
+def last(every: pd.DataFrame) -> pd.DataFrame:
+    """The measures over the sets that the last method has answered."""
+    own = every[every["set"].isin(LAST) & (every["clips"] != SCENE)]
     return measured_sessions(
         own.sort_values("clips", ascending=False, kind="stable"), resamplings=2000, seed=0
     )
@@ -129,7 +129,7 @@ def markdown(table: pd.DataFrame, every: pd.DataFrame) -> str:
             f"Made by `make blind-sessions-pooled` from the marks of {sets}. Each session was "
             "answered before its label was opened, by the version of its day; versions differ, and each set "
             "has taught those after it, so this is a record and no measurement of one "
-            f"method ([that]({PRESENT_STEM}.md)). Value [95 % interval], sessions. With few sessions the "
+            f"method ([that]({LAST_STEM}.md)). Value [95 % interval], sessions. With few sessions the "
             "calibration error comes out too large. Maps of Blender's sessions are left out: their labels "
             "named the vertices that move, not those that the cause acts on.",
             aims_section(table[table["version"] == NOW], f"Against the aims, {NOW}"),
@@ -139,18 +139,18 @@ def markdown(table: pd.DataFrame, every: pd.DataFrame) -> str:
     )
 
 
-def present_page(table: pd.DataFrame, every: pd.DataFrame) -> str:
-    """The page of the present method."""
-    own = every[every["set"].isin(PRESENT) & (every["clips"] != SCENE)]
+def last_page(table: pd.DataFrame, every: pd.DataFrame) -> str:
+    """The page of the last method."""
+    own = every[every["set"].isin(LAST) & (every["clips"] != SCENE)]
     return "\n\n".join(
         (
-            "# Sealed sessions by the present method",
-            f"Made by `make blind-sessions-pooled` from the marks of {_sets(own)}: what has been answered "
-            "since the evidence of motion and its weights are what they are now, every session before its "
-            "label was opened. Since the last of them two forces of the model have been mended (drifting "
-            "rest lengths beside damping, shear of damped diagonals: CHANGELOG), so answers are still to be "
-            f"made with what is there now. All versions: [the record]({STEM}.md). Value [95 % interval], "
-            "sessions. With few sessions the calibration error comes out too large.",
+            "# Sealed sessions by the last method that has answered any",
+            f"Made by `make blind-sessions-pooled` from the marks of {_sets(own)}, answered by one evidence "
+            "of motion and one set of weights, every session before its label was opened. It is not what is "
+            "there today: sizes of what belongs to a clip, images of several devices and two forces of the "
+            "model (drifting rest lengths beside damping, shear of damped diagonals) have been mended since, "
+            f"and no sealed set has been answered with that. All versions: [the record]({STEM}.md). Value "
+            "[95 % interval], sessions. With few sessions the calibration error comes out too large.",
             aims_section(table),
             _section(table, ""),
             "",
@@ -182,14 +182,14 @@ def _clips(number: str) -> str:
 
 
 def _set(name: str) -> str:
-    return f"[{name.replace('_', ' ')}]({PRESENT_STEM}_{name}.md)"
+    return f"[{name.replace('_', ' ')}]({LAST_STEM}_{name}.md)"
 
 
 def write(folder: Path = RESULTS) -> tuple[Path, Path]:
     """Write both tables and pages; returns the paths of the pages."""
     every = marks(folder)
-    record, measured = pooled(every), present(every)
-    texts = {STEM: (record, markdown(record, every)), PRESENT_STEM: (measured, present_page(measured, every))}
+    record, measured = pooled(every), last(every)
+    texts = {STEM: (record, markdown(record, every)), LAST_STEM: (measured, last_page(measured, every))}
     for stem, (table, _) in texts.items():
         write_text(folder / f"{stem}.csv", table.to_csv(index=False, float_format="%.6g"))
     pages = [write_text(folder / f"{stem}.md", text) for stem, (_, text) in texts.items()]

@@ -60,12 +60,12 @@ def test_maps_of_what_moves_count_no_more(
         assert "mujoco" in set(marked["generator"])
 
 
-def test_the_present_method_is_measured_by_its_own_sets(
+def test_the_last_method_is_measured_by_its_own_sets(
     pooled: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in ("_four", "_second_four"):
         shutil.copy(RESULTS / f"blind_sessions{name}_marks.csv", tmp_path)
-    monkeypatch.setattr(pooled, "PRESENT", ("second_four",))
+    monkeypatch.setattr(pooled, "LAST", ("second_four",))
     _, page = pooled.write(tmp_path)
     assert page == tmp_path / "blind_sessions.md"
     assert "[four]" not in page.read_text()
@@ -78,5 +78,5 @@ def test_the_present_method_is_measured_by_its_own_sets(
 def test_the_committed_page_is_that_of_the_committed_marks(pooled: ModuleType) -> None:
     every = pooled.marks(RESULTS)
     assert (RESULTS / "blind_sessions_pooled.md").read_text() == pooled.markdown(pooled.pooled(every), every)
-    present = pooled.present_page(pooled.present(every), every)
-    assert (RESULTS / "blind_sessions.md").read_text() == present
+    last = pooled.last_page(pooled.last(every), every)
+    assert (RESULTS / "blind_sessions.md").read_text() == last
