@@ -373,12 +373,12 @@ def session_problem(cfg: DictConfig) -> SessionProblem:
             got=", ".join(map(str, sorted(grids))),
         )
     scenes = [clip.reconstruction.scene for clip in clips]
-    for clip, scene in zip(session.clips, scenes, strict=True):
+    for name, scene in zip(session.clip_names, scenes, strict=True):
         if not np.allclose(scene.cloth_size, scenes[0].cloth_size, rtol=_SAME_CLOTH):
             raise InputError(
                 "The clips of a session are of one cloth",
-                where=f"{cfg.session}: {clip.folder.name}",
-                expected=f"a cloth of {_size(scenes[0])}, as in {session.clips[0].folder.name}",
+                where=f"{cfg.session}: {name}",
+                expected=f"a cloth of {_size(scenes[0])}, as in {session.clip_names[0]}",
                 got=_size(scene),
             )
     longest = max((scene.n_frames - 1) / scene.fps for scene in scenes)

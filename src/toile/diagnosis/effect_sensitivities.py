@@ -37,7 +37,7 @@ from toile.physics.step_terms import ElementTerm, StepContext
 Array = NDArray[np.float64]
 
 _DIFFERENCE = 1e-4
-"""Of a coefficient, in prior deviations."""
+"""Of a coefficient, in prior deviations, or of a stiffness, in its logarithm."""
 
 FORCES = (VertexEffect, ElementEffect, ForceEffect, MassEffect, TimeEffect)
 """Kinds of effects that change the motion through forces."""

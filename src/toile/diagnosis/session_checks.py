@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from toile.diagnosis.joint_fit import JointFit
 from toile.diagnosis.session_stages import SeenClip
 from toile.generation.clip_plan import MOTIONS
-from toile.scenes.session import SessionClip
+from toile.scenes.session import Session
 
 Array = NDArray[np.float64]
 
@@ -18,32 +18,31 @@ _MOVED = 0.01
 """Share of the cloth's width by which what holds it moves where somebody moves it."""
 
 
-def unknown_motions(clips: Sequence[SessionClip]) -> list[str]:
+def unknown_motions(session: Session) -> list[str]:
     """One sentence for every clip whose motion is a word that says nothing about air and corners."""
     return [
-        f"{clip.folder.name}: its motion '{clip.motion}' is none of {', '.join(MOTIONS)}, so nothing is "
+        f"{name}: its motion '{clip.motion}' is none of {', '.join(MOTIONS)}, so nothing is "
         "known of what blew or moved the corners"
-        for clip in clips
+        for name, clip in zip(session.clip_names, session.clips, strict=True)
         if clip.motion and clip.motion not in MOTIONS
     ]
 
 
-def moved_holders(
-    clips: Sequence[SessionClip], seen: Sequence[SeenClip], motion: Sequence[Array]
-) -> list[str]:
+def moved_holders(session: Session, seen: Sequence[SeenClip], motion: Sequence[Array]) -> list[str]:
     """One sentence for every clip whose pinned vertices move although nobody is said to have moved them.
 
     Args:
-        clips: as their session says.
+        session: the clips.
         seen: the same after tracking.
         motion: of each, refined by the base model (F, N, 3) [m].
     """
     found = []
-    for clip, tracked, positions in zip(clips, seen, motion, strict=True):
+    clips = zip(session.clip_names, session.clips, seen, motion, strict=True)
+    for name, clip, tracked, positions in clips:
         away = holders_away(tracked, positions).max(initial=0.0)
         if tracked.held_still and away > _MOVED * tracked.problem.scene.cloth_size[0]:
             found.append(
-                f"{clip.folder.name}: what holds the cloth moves by {1e3 * away:.0f} mm, although nobody "
+                f"{name}: what holds the cloth moves by {1e3 * away:.0f} mm, although nobody "
                 f"moved it in a clip of motion '{clip.motion}': it slips, or another motion was recorded "
                 f"({', '.join(MOTIONS)})"
             )

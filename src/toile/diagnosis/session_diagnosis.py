@@ -180,7 +180,7 @@ def diagnose_session(
     names = list(dict.fromkeys(clip.device for clip in session.clips))
     devices = [names.index(clip.device) for clip in session.clips]
     motions = [clip.motion for clip in session.clips]
-    remarkable = _said(unknown_motions(session.clips))
+    remarkable = _said(unknown_motions(session))
     clips = seen_clips(problems, devices, pipeline, progress, motions)
 
     made_from = {
@@ -209,7 +209,7 @@ def diagnose_session(
     resized = {name: change for name, change in changes.items() if abs(change) > weights.resized}
     if not resized:
         # Holders go with a cloth that seems to change its size.
-        remarkable += _said(moved_holders(session.clips, clips, motion.positions))
+        remarkable += _said(moved_holders(session, clips, motion.positions))
     model = SessionModel(clips, motion, together, settings.stiffness)
     stages = HypothesisStages(model, progress, made_from, workers)
     plain = pipeline.run(stages.plain(0.5), motion)

@@ -132,11 +132,10 @@ def of_two(verdict: Verdict, first: str, second: str, probability: float) -> Ver
     both = f"{first} and {second}: each explains what the base model with the other misses."
     if verdict.effect == first:
         # There is one place beside the first: where an effect of the image has it, the second is a candidate.
-        beside = verdict.also or second
-        candidates = tuple(dict.fromkeys((*verdict.candidates, second)))
-        if beside == second:
-            candidates = verdict.candidates
-        return replace(verdict, candidates=candidates, also=beside, reason=f"{verdict.reason} {both}")
+        changed = replace(verdict, also=verdict.also or second, reason=f"{verdict.reason} {both}")
+        if changed.also == second:
+            return changed
+        return replace(changed, candidates=tuple(dict.fromkeys((*verdict.candidates, second))))
     return replace(
         verdict,
         effect=first,

@@ -18,7 +18,7 @@ from toile.diagnosis.session_checks import (
     stopped_short,
     unknown_motions,
 )
-from toile.scenes.session import SessionClip
+from toile.scenes.session import Session, SessionClip
 
 WIDTH, FRAMES = 0.5, 20
 
@@ -38,7 +38,7 @@ def seen(moved: np.ndarray, *, still: bool = True) -> tuple[Any, np.ndarray]:
 
 def said_of(motion: str, clip: Any, positions: np.ndarray) -> list[str]:
     """What is said of a session of this clip alone."""
-    return moved_holders([SessionClip(Path("first"), motion)], [clip], [positions])
+    return moved_holders(Session("s", (SessionClip(Path("first"), motion),)), [clip], [positions])
 
 
 def test_holders_that_move_although_nobody_moved_them_are_said() -> None:
@@ -79,6 +79,6 @@ def test_where_all_holders_move_another_motion_was_recorded() -> None:
 
 @pytest.mark.parametrize(("motion", "known"), [("", True), ("fan_off", True), ("fan-off", False)])
 def test_a_motion_that_nobody_knows_is_said(motion: str, known: bool) -> None:
-    said = unknown_motions([SessionClip(Path("second"), motion)])
+    said = unknown_motions(Session("s", (SessionClip(Path("second"), motion),)))
     assert (said == []) == known
     assert all("second" in one and motion in one for one in said)

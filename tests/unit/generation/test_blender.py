@@ -408,3 +408,23 @@ class TestWithBlender:
     def test_a_crash_is_reported(self, tmp_path: Path) -> None:
         with pytest.raises(process.BlenderError, match="KeyError"):
             process.run({"threads": 1, "simulations": [{"name": "x"}]}, tmp_path)
+
+
+def test_labels_name_the_vertices_that_an_effect_acts_on() -> None:
+    """Not those that it moves: of what acts everywhere, none."""
+    still = np.zeros((TINY.n_frames, 9, 7, 3))
+    moved = still + 0.1
+
+    def of(effect: str) -> list[int] | None:
+        where = scene.label(replace(TINY, effect=effect, parameters={}), moved, still)["localisation"]
+        found: list[int] | None = where["vertices"]
+        return found
+
+    # The second of the corners in world.simulation, which is the one that slips.
+    assert of("anchor_slip") == [8 * 7]
+    assert of("air_drag") is None
+    assert of("none") is None
+    stiff = of("nonuniform_stiffness")
+    assert stiff is not None
+    weights = world.patch(replace(TINY, effect="nonuniform_stiffness", parameters={}), (9, 7)).ravel()
+    assert set(stiff) == set(np.flatnonzero(weights > 0.5))
