@@ -1,9 +1,10 @@
 """Where a diagnosis of several clips loses what they know: `make session-ladder`.
 
-One thing after the other takes its true place: positions are the true ones, the tracked ones, or those that
-the base model refines; hypotheses have a free force or none; one clip counts or all. Sessions come from the
-package's out-of-family generator and, through the extra ``blender``, from Blender. They are kept in
-outputs/session_ladder, as is what is found, so that it goes on where it was.
+One thing after the other takes its true place: positions are the true ones, those with noise, the tracked
+ones, or those that the base model refines; hypotheses have a free force or none; one clip counts or all, or
+one of half the frame rate. Sessions come from the package's out-of-family generator and, through the extra
+``blender``, from Blender. They are kept in outputs/session_ladder, as is what is found, so that it goes on
+where it was.
 
     python benchmarks/session_ladder.py [--sessions air_drag:3:1 none:0:2 ...] [--rungs true tracked refined]
 """
@@ -92,14 +93,22 @@ REFINED_ALONE = (
 )
 """More sessions, as a diagnosis of their first clip sees them; some causes are not in the catalogue."""
 REFINED = "refined, one clip"
+NOISY = "true with noise, one clip"
+SHORT = "refined, one clip at 25 fps"
 RUNGS = (
     "true, one clip",
-    "true",
+    NOISY,
     "tracked, one clip",
     REFINED,
     "refined, one clip, force 0.3",
+    SHORT,
+    "true",
     "refined",
 )
+_NOISE = 0.003
+"""Mean distance by which NOISY moves every vertex in every frame, of the width."""
+_SHORT = (replace(DEFAULT_CLIPS[0], n_frames=40, fps=25.0),)
+"""As long as the first clip, in half as many frames: the clip of most users."""
 
 
 def folder_of(session: str, within: Path = FOLDER) -> Path:
@@ -142,10 +151,10 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
         np.load(folder / f"truth_{k}.npy").astype(np.float64).reshape(c.n_frames, -1, 3)
         for k, c in enumerate(clips)
     ]
-    motion = _motion(session, truth, rung)
+    width = clips[0].problem.scene.cloth_size[0]
+    motion = _motion(session, truth, rung, width)
     if "force" in rung:
         settings = replace(settings, fit=replace(settings.fit, force=_FORCE, outside=_FORCE))
-    width = clips[0].problem.scene.cloth_size[0]
     error = 100 * np.mean(
         [np.linalg.norm(x - t, axis=-1).mean() for x, t in zip(motion.positions, truth, strict=True)]
     )
@@ -234,7 +243,12 @@ def _predicted(
     }
 
 
-def _motion(session: OpenedSession, truth: list[np.ndarray], rung: str) -> RefinedMotion:
+def _motion(session: OpenedSession, truth: list[np.ndarray], rung: str, width: float) -> RefinedMotion:
+    if rung == NOISY:
+        rng = np.random.default_rng(0)
+        # A Gaussian vector is longer than its standard deviation along an axis, 1.6 times in the mean.
+        along = _NOISE * width / np.sqrt(8 / np.pi)
+        return RefinedMotion([x + along * rng.standard_normal(x.shape) for x in truth], None)
     if rung.startswith("true"):
         return RefinedMotion(truth, None)
     if rung.startswith("tracked"):
@@ -310,8 +324,9 @@ def main() -> None:
             if not kept.is_file():
                 if given.known:
                     continue
-                folder = made(session, plans=plans)
-                write_text(kept, json.dumps(fitted(folder, rung, FOLDER / f"{folder.name}_run")))
+                within = FOLDER / "short" if rung == SHORT else FOLDER
+                folder = made(session, within, _SHORT if rung == SHORT else plans)
+                write_text(kept, json.dumps(fitted(folder, rung, within / f"{folder.name}_run")))
             rows += json.loads(kept.read_text())
             print(
                 summary(pd.DataFrame(rows)).tail(1).to_string(index=False, header=len(rows) < 12), flush=True
