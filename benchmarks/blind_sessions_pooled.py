@@ -25,6 +25,7 @@ LAST_STEM = "blind_sessions"
 SUFFIX = "_marks.csv"
 SCENE = "1, as a scene"
 """How marks call answers of the method of single clips."""
+_SESSIONS = "this method"
 EARLIER = ("twelve", "eight", "second_twelve", "second_eight", "four")
 """Sets answered before the motion was refined by the model's errors as they are found, oldest first."""
 LATEST = (
@@ -118,10 +119,51 @@ def last(every: pd.DataFrame) -> pd.DataFrame:
     )
 
 
+def beside_scenes(every: pd.DataFrame) -> pd.DataFrame:
+    """The measures over sessions that the method of single clips has answered too: its answers, and ours.
+
+    Ours are of all the clips of a session, the other method's of its first.
+    """
+    asked = every.loc[every["clips"] == SCENE, "scene"]
+    both = every[every["scene"].isin(asked) & every["clips"].isin((SCENE, "1", "3"))]
+    most = both["clips"].map({SCENE: 0, "1": 1, "3": 3})
+    ours = most.where(most > 0).groupby(both["scene"]).transform("max")
+    both = both[(most == 0) | (most == ours)]
+    clips = both["clips"].where(both["clips"] == SCENE, _SESSIONS)
+    # The answer that does without any method is the same for both: it stays with ours.
+    return measured_sessions(both.assign(clips=clips), resamplings=2000, seed=0)
+
+
+def _beside(table: pd.DataFrame, n: int) -> str:
+    """Of all generators together, method beside method; the largest drop is a method as well."""
+    drop = " [largest drop of training loss]"
+    rows = table[(table["generator"] == "all") & (table["scenes"] > 0)].copy()
+    dropped = rows["measure"].str.endswith(drop)
+    rows = rows[(rows["clips"] == _SESSIONS) | ~dropped]
+    rows["method"] = (
+        rows["clips"]
+        .replace({SCENE: "method of single clips"})
+        .where(~rows["measure"].str.endswith(drop), "largest drop of the training loss")
+    )
+    rows["measure"] = rows["measure"].str.removesuffix(drop)
+    rows["cell"] = with_intervals(rows)
+    wide = rows.pivot(index="measure", columns="method", values="cell").fillna("–")
+    order = [name for name in (*MEASURES, "time, median [s]") if name in wide.index]
+    columns = list(dict.fromkeys(rows["method"]))
+    return (
+        f"## Beside the method of single clips, on the same {n} sessions\n\n"
+        "Sessions that `as_scene=true` has answered as well: their first clip, as a scene of its own, by the "
+        "method of single clips. This one, by the version of its day, had all their clips (mostly one).\n\n"
+        + wide.loc[order, columns].to_markdown()
+    )
+
+
 def markdown(table: pd.DataFrame, every: pd.DataFrame) -> str:
     """The page of the record."""
     parts = [_section(rows, f", {version}") for version, rows in table.groupby("version", sort=False)]
     own = every[every["clips"] != SCENE]
+    n_scenes = every.loc[every["clips"] == SCENE, "scene"].nunique()
+    scenes = [_beside(beside_scenes(every), n_scenes)] if n_scenes else []
     sets = f"{own['set'].nunique()} sets: {_sets(own)}"
     return "\n\n".join(
         (
@@ -133,6 +175,7 @@ def markdown(table: pd.DataFrame, every: pd.DataFrame) -> str:
             "calibration error comes out too large. Maps of Blender's sessions are left out: their labels "
             "named the vertices that move, not those that the cause acts on.",
             aims_section(table[table["version"] == NOW], f"Against the aims, {NOW}"),
+            *scenes,
             *parts,
             "",
         )

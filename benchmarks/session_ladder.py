@@ -304,7 +304,7 @@ def _first(rows: pd.DataFrame, column: str) -> float:
 
 
 def main() -> None:
-    """Write docs/results/session_ladder.md and its evidence, session_evidence.csv."""
+    """Write docs/results/session_ladder.md and its evidence, session_ladder.csv."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--sessions", nargs="+", default=(*SESSIONS, *REFINED_ALONE))
     parser.add_argument("--rungs", nargs="+", help="of every session; all of SESSIONS, one of the others")
@@ -331,7 +331,7 @@ def main() -> None:
             print(
                 summary(pd.DataFrame(rows)).tail(1).to_string(index=False, header=len(rows) < 12), flush=True
             )
-    evidence = given.output.with_name("session_evidence.csv")
+    evidence = given.output.with_suffix(".csv")
     table = _with_lines_before(pd.DataFrame(rows), evidence)
     write_text(evidence, table.to_csv(index=False, float_format="%.5g"))
     write_text(given.output, page(table))
@@ -348,6 +348,13 @@ def _with_lines_before(new: pd.DataFrame, path: Path) -> pd.DataFrame:
     order = {rung: k for k, rung in enumerate(RUNGS)}
     ranked = new["rung"].map(lambda rung: order.get(rung, len(order)))
     return new.iloc[np.argsort(ranked.to_numpy(), kind="stable")]
+
+
+def _by_rung(sessions: pd.DataFrame, column: str, show: str) -> pd.DataFrame:
+    """A column of every session, rung beside rung; sessions of no value are left out."""
+    wide = sessions.pivot(index="session", columns="rung", values=column).dropna(how="all")
+    wide = wide[[rung for rung in RUNGS if rung in wide]]
+    return wide.map(lambda value: "–" if np.isnan(value) else show.format(value))
 
 
 def _share(sessions: pd.DataFrame, column: str, least: float) -> pd.Series:
@@ -412,10 +419,17 @@ def page(table: pd.DataFrame) -> str:
         "Leads and gains are those under a law; probabilities are of all evidence, causes from outside "
         "judged with the forces within the cloth free. The shrink is that of the fitted cause on the clip "
         "that was left out (of one clip: on pieces of it); on true positions it is what could be reached. "
-        "Lines since 73b28d3 have it; at 73b28d3 pieces begin with the base model's motion, later with "
-        "that of each hypothesis. Lines of f796936: fits of 9b1ca81, probabilities by the weights since.",
+        "Images of clips (light, blur, slips of holders) are not judged here. "
+        f"Noise: {100 * _NOISE:g} % of the width in the mean, of every vertex in every frame on its own.",
         "",
     ]
+    for column, show, what in (
+        ("its probability", "{:.2f}", "Probability of the truth"),
+        ("truth over best rival [nats]", "{:.0f}", "Truth over the best rival under the law [nats]"),
+        ("position error [%]", "{:.2f}", "Error of the positions [% of the width]"),
+    ):
+        lines += [f"## {what}", "", _by_rung(sessions, column, show).to_markdown(), ""]
+    lines += ["## Every line", ""]
     for column in (
         "truth over best rival [nats]",
         "its probability",

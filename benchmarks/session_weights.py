@@ -125,7 +125,7 @@ def cases_of(table: pd.DataFrame) -> list[SessionCase]:
 
 
 def graded_evidence(folder: Path, marks: pd.DataFrame, rung: str = REFINED) -> pd.DataFrame:
-    """Evidence of sealed sessions with open labels in the form of session_evidence.csv.
+    """Evidence of sealed sessions with open labels in the form of session_ladder.csv.
 
     Args:
         folder: of diagnoses, every session in a folder of its own.

@@ -41,6 +41,21 @@ def test_every_set_counts_once_and_nulls_are_no_missing_values(pooled: ModuleTyp
     assert "nan" not in record
 
 
+def test_the_method_of_single_clips_is_measured_on_the_same_sessions(
+    pooled: ModuleType, tmp_path: Path
+) -> None:
+    for name in ("_four", "_second_four"):  # the first of them has no such answers
+        shutil.copy(RESULTS / f"blind_sessions{name}_marks.csv", tmp_path)
+    every = pooled.marks(tmp_path)
+    table = pooled.beside_scenes(every).set_index(["clips", "generator", "measure"])["scenes"]
+    size = "90 % set: mean size"
+    assert table["this method", "all", size] == table[pooled.SCENE, "all", size] > 0
+    record, _ = (page.read_text() for page in pooled.write(tmp_path))
+    assert "on the same 4 sessions" in record
+    (tmp_path / "blind_sessions_second_four_marks.csv").unlink()
+    assert "on the same" not in pooled.write(tmp_path)[0].read_text()
+
+
 def test_a_session_in_two_sets_is_refused(pooled: ModuleType, tmp_path: Path) -> None:
     marks = RESULTS / "blind_sessions_four_marks.csv"
     shutil.copy(marks, tmp_path)

@@ -218,6 +218,35 @@ def test_a_ball_in_the_way_is_not_entered(pose):
     assert ((touched - centre).norm(dim=-1) - ball.radius).min() > -1e-3
 
 
+@pytest.mark.parametrize("friction", [0.1, 0.3, 0.9])
+def test_a_free_sheet_slides_down_a_slope_by_coulombs_law(friction):
+    """The friction of the label acts, not the larger one of the cloth: above tan 30° it holds."""
+    sheet = replace(SHEET, pinned=())
+    flat = torch.from_numpy(Flex(sheet, 0.004, DOWN).rest).reshape(*GRID, 3)
+    down, along = vertex_normals(flat.reshape(-1, 3), grid_faces(*GRID))[0], flat[-1, 0] - flat[0, 0]
+    along = along / along.norm()
+    slope = effect("contact", flat)
+    slope.ball, slope.normal, slope.friction = False, down, friction
+    slope.offset = float((flat[0, 0] * down).sum()) + 0.002
+    tilt = np.radians(30.0)
+    gravity = 9.81 * (np.sin(tilt) * along + np.cos(tilt) * down)
+    motion = simulate_flex(
+        sheet,
+        flat,
+        (slope.scaled(1.0),),
+        pinned_motion=Still(),
+        gravity=gravity,
+        wind=NO_WIND,
+        n_frames=11,
+        fps=50.0,
+        substeps=5,
+    )
+    slid = ((motion[-1] - flat) @ along).mean()
+    pull = max(np.sin(tilt) - friction * np.cos(tilt), 0.0)
+    # Until it lies on the slope, 2 mm below, nothing holds it.
+    assert float(slid) == pytest.approx(0.5 * 9.81 * pull * 0.2**2, abs=3e-3)
+
+
 def test_a_slipping_corner_ends_where_its_label_says(pose):
     slip = effect("anchor_slip", pose)
     far = slip.boundary(torch.tensor([0.0, 100.0], dtype=torch.float64))
