@@ -238,14 +238,15 @@ def test_mistakes(blind) -> None:
     assert blind("make", "clips=[]").status == 2
     assert blind("run", "one_clip=true", "extended=true").status == 2
     assert blind("run", "one_clip=true", "as_scene=true").status == 2
-    status, _, err = blind("run", "composition=tiny", "one_clip=true")
-    assert status == 2
-    assert "several clips" in err
 
 
-@pytest.mark.parametrize("setting", ["clips=[release]", "generators=[mujoco]"])
-@pytest.mark.parametrize("action", ["make", "run", "extend"])
+@pytest.mark.parametrize(
+    "setting",
+    ["clips=[release]", "generators=[mujoco]", "composition=tiny", "composition=sessions_medium"],
+)
+@pytest.mark.parametrize("action", ["make", "run", "extend", "grade"])
 def test_a_set_of_other_sessions_is_not_gone_on_with(blind, action: str, setting: str) -> None:
+    """Graded by other measures it would be spent, extended by another plan it would get other cloths."""
     before = BlindSet(SET).description.read_text()
     status, _, err = blind(action, setting)
     assert status == 2
@@ -253,6 +254,37 @@ def test_a_set_of_other_sessions_is_not_gone_on_with(blind, action: str, setting
     assert setting.partition("=")[0] in err
     assert BlindSet(SET).description.read_text() == before
     assert not PREDICTIONS.exists()
+
+
+def test_another_clip_is_of_the_same_making(blind) -> None:
+    assert blind("run").status == 0
+    status, _, err = blind("extend", "out_of_family.substeps=9")
+    assert status == 2
+    assert "out_of_family.substeps" in err
+
+
+def test_answers_by_other_settings_are_not_mixed(blind) -> None:
+    assert blind("run", "max_sessions=1").status == 0
+    status, _, err = blind("run", 'settings=["diagnosis=fine"]')
+    assert status == 2
+    assert "settings" in err
+    assert "another predictions" in err
+    assert blind("run", 'settings=["diagnosis=fine"]', "predictions=elsewhere").status == 0
+
+
+def test_a_clip_that_is_made_later_is_not_answered_by_the_copy(blind) -> None:
+    """The answer without another clip stands in until there is one."""
+    assert blind("run").status == 0
+    assert blind("run", "extended=true").status == 0
+    folder = PREDICTIONS.with_name(PREDICTIONS.name + "_extended")
+    assert len(list(folder.glob("*/copied.txt"))) == len(BlindSet(SET).names())
+    assert blind("extend").status == 0
+    assert blind("run", "extended=true").status == 0
+    extended = replace(BlindSet(SET), part="extended")
+    copies = {path.parent.name for path in folder.glob("*/copied.txt")}
+    made = {name for name in BlindSet(SET).names() if extended.is_there(name)}
+    assert made
+    assert not made & copies
 
 
 def test_what_chosen_generators_cannot_make_is_said() -> None:

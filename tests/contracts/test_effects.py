@@ -65,6 +65,8 @@ OBSTACLES = {
 SPECIAL = {
     "contact": lambda values: Contact(OBSTACLES["plane"], values, thickness=0.02),
     "anchor_slip": lambda values: AnchorSlip(values, vertex=1, start=0.03, duration=0.06),
+    # Half waves that five frame intervals can follow.
+    "gusts": lambda values: Gusts(values, n_modes=FRAMES - 2),
 }
 MAKE = {name: SPECIAL.get(name, effect) for name, effect in CATALOGUE.items()}
 VARIANTS = {

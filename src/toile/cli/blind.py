@@ -60,6 +60,7 @@ from toile.generation.out_of_family.blind_set import (
 from toile.generation.out_of_family.from_blender import can_make, make_with_blender, why_no_blender
 from toile.generation.out_of_family.making import SceneRequest, make_scene
 from toile.generation.out_of_family.session_set import PlannedSession
+from toile.json_file import read_json_object
 from toile.scenes.registry import available_scenes
 
 _COMPOSITIONS: dict[str, Callable[[], Composition]] = {
@@ -70,6 +71,11 @@ _COMPOSITIONS: dict[str, Callable[[], Composition]] = {
 
 _KINDS = ("one_clip", "as_scene", "extended")
 """Answers to sessions that are not from all of their clips; settings of toile blind run."""
+
+_COPIED = "copied.txt"
+"""Beside an answer that is that without another clip."""
+_HOW = "how.json"
+"""In a folder of predictions: by what they were made."""
 
 _log = logging.getLogger(__name__)
 
@@ -102,7 +108,7 @@ def run(cfg: DictConfig) -> None:
             got=str(cfg.first),
         )
     if blind.description.is_file():
-        _check_asked(cfg, blind)
+        _check_asked(cfg, blind, action)
     actions[action](cfg, blind)
 
 
@@ -214,6 +220,7 @@ def _run(cfg: DictConfig, blind: BlindSet) -> None:
     diagnose: Diagnose = _function(str(cfg.diagnose))
     if asked:
         _check_sessions(cfg, *asked)
+    _check_answers_alike(cfg, predictions)
     if cfg.one_clip:
         diagnose = FirstClipAlone(diagnose)
     if cfg.as_scene:
@@ -222,10 +229,15 @@ def _run(cfg: DictConfig, blind: BlindSet) -> None:
         before = _predictions(cfg)
         read_predictions(blind, before)
         blind = replace(blind, part=EXTENDED)
-        # Where no other clip was asked for, the answer stays.
         for name in names:
+            own = predictions.folder / name
             if not blind.is_there(name) and before.diagnosis(name).is_file():
-                shutil.copytree(before.folder / name, predictions.folder / name, dirs_exist_ok=True)
+                # Where no other clip was asked for, the answer stays.
+                shutil.copytree(before.folder / name, own, dirs_exist_ok=True)
+                write_text(own / _COPIED, "the answer without another clip: none had been made\n")
+            elif blind.is_there(name) and (own / _COPIED).is_file():
+                # The clip has been made since.
+                shutil.rmtree(own)
         part = [name for name in part if blind.is_there(name)]
     if cfg.max_sessions is not None:
         part = [n for n in part if not predictions.diagnosis(n).is_file()][: int(cfg.max_sessions)]
@@ -252,10 +264,31 @@ def _run(cfg: DictConfig, blind: BlindSet) -> None:
     print_path(predictions.list, f": sha256 {digest}")
 
 
+def _check_answers_alike(cfg: DictConfig, predictions: Predictions) -> None:
+    """Refuse to add answers by another method or other settings to those that are there."""
+    settings = OmegaConf.to_container(cfg.settings, resolve=True) if cfg.settings is not None else None
+    asked: dict[str, Any] = {"diagnose": str(cfg.diagnose), "settings": settings}
+    path = predictions.folder / _HOW
+    before = read_json_object(path) if path.is_file() else {}
+    for name, got in asked.items():
+        # Answers made before this was kept say nothing of it.
+        if name in before and before[name] != got:
+            raise InputError(
+                "The answers there were made with another setting",
+                where=name,
+                expected=f"{name}={json.dumps(before[name])}, as in {path}, or another predictions=...",
+                got=json.dumps(got),
+            )
+    if not before:
+        write_text(path, json.dumps(asked, indent=1) + "\n")
+
+
 def _grade(cfg: DictConfig, blind: BlindSet) -> None:
     if str(cfg.composition) in SESSIONS:
         _grade_sessions(cfg, blind)
         return
+    if cfg.table is not None:
+        _check_sessions(cfg, "table")
     predictions = Predictions(Path(cfg.predictions))
     key = SealKey.read(Path(cfg.key))
     grade = grade_set(blind, predictions, key, alias=float(cfg.alias), resamplings=int(cfg.bootstrap), seed=0)
@@ -371,10 +404,19 @@ def _asked(cfg: DictConfig) -> dict[str, Any]:
     return {"clips": [str(motion) for motion in cfg.clips], "generators": generators}
 
 
-def _check_asked(cfg: DictConfig, blind: BlindSet) -> None:
-    """Refuse to go on with a set of other sessions: of one clip where it has three, or by other engines."""
+def _check_asked(cfg: DictConfig, blind: BlindSet, action: str) -> None:
+    """Refuse to go on with another set: by its plan, of one clip where it has three, or by other engines.
+
+    A set that is graded by the measures of another kind of set is spent, and one that is extended by another
+    plan gets clips of other cloths: names depend on the key alone.
+    """
     before = blind.read_description()
-    for name, got in _asked(cfg).items():
+    asked = {"composition": str(cfg.composition), **_asked(cfg)}
+    if action == "extend":
+        mine, theirs = _plain(cfg.out_of_family), before["out_of_family"]
+        asked |= {f"out_of_family.{name}": value for name, value in mine.items()}
+        before |= {f"out_of_family.{name}": value for name, value in theirs.items()}
+    for name, got in asked.items():
         # Sets made before this was kept say nothing of it.
         if name in before and before[name] != got:
             raise InputError(

@@ -22,7 +22,7 @@ _AFTER_FLAG = {
     ),
 }
 _FILE_FLAGS = ("--config-dir", "-cd", "--config-path", "-cp")
-_RESUMABLE = ("fit", "train")
+_RESUMABLE = ("fit", "train", "diagnose")
 _OPEN_ENDS = ("=", ".", "/")
 """A candidate that ends so is not finished: no space after it."""
 _SPECIAL = frozenset(" \t\\'\"()[]{}<>|&;$`!*?#~")

@@ -11,7 +11,7 @@ import yaml
 from toile.cli.path_arguments import quoted
 from toile.errors import InputError
 from toile.learning.checkpoints import LAST
-from toile.reports.run_folder import RunFolder, read_config
+from toile.reports.run_folder import RunFolder, read_config, read_metrics
 from toile.reports.run_settings import WITHOUT_INFLUENCE, read_settings
 
 _KEY = "resume"
@@ -20,6 +20,10 @@ _FREE = (*WITHOUT_INFLUENCE, "max_minutes", "workers")
 _CHECKPOINT = f"checkpoints/{LAST}"
 # What there is to continue from; the results of a diagnosis' stages are looked for one by one.
 _BEGUN = {"diagnosis": "config.yaml"}
+
+
+class OtherSettingsError(InputError):
+    """A folder holds a run with other settings, which says nothing against that run."""
 
 
 def resume_arguments(arguments: Sequence[str], what: str) -> list[str]:
@@ -110,6 +114,9 @@ def is_finished(folder: RunFolder, config: str, last: Path) -> bool:
     """
     if not (folder.config.is_file() and folder.metrics.is_file() and last.is_file()):
         return False
+    if "fit" not in read_metrics(folder):
+        # An interrupted one that has been evaluated, and has a page, goes on all the same.
+        return False
     check_settings_as_before(folder, config)
     return True
 
@@ -139,13 +146,13 @@ def check_settings_as_before(folder: RunFolder, config: str) -> None:
         config: resolved configuration of this run, YAML text.
 
     Raises:
-        InputError: a setting that the result follows from is another one.
+        OtherSettingsError: a setting that the result follows from is another one.
     """
     before = _binding(read_settings(read_config(folder), str(folder.config)))
     now = _binding(yaml.safe_load(config))
     changed = sorted(key for key in before.keys() | now.keys() if before.get(key) != now.get(key))
     if changed:
-        raise InputError(
+        raise OtherSettingsError(
             "The folder holds a run with other settings",
             where=str(folder.path),
             expected="the settings it was started with, or another folder",

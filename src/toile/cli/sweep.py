@@ -18,7 +18,7 @@ from omegaconf import DictConfig
 from toile.atomic_file import write_text
 from toile.cli.alone import FolderInUseError
 from toile.cli.failures import explain
-from toile.errors import InputError
+from toile.cli.resume import OtherSettingsError
 
 _started: list[Path] = []
 
@@ -39,17 +39,28 @@ def noting_failures() -> Iterator[None]:
     """Write why a run of a sweep failed into its folder; the failure itself goes on."""
     from toile.reports.run_folder import RunFolder
 
-    note = RunFolder(Path(HydraConfig.get().runtime.output_dir)).failure
-    # A run of a sweep may be finished by itself.
-    note.unlink(missing_ok=True)
-    if HydraConfig.get().mode is not RunMode.MULTIRUN:
+    hydra = HydraConfig.get()
+    swept = hydra.mode is RunMode.MULTIRUN
+    if hydra.output_subdir is None and not swept:
+        # A command without a folder of its own: what lies where it is called is not its business.
         yield
         return
+    note = RunFolder(Path(hydra.runtime.output_dir)).failure
+    # A run of a sweep may be finished by itself.
+    before = note.read_text(encoding="utf-8", errors="replace") if note.is_file() else None
+    note.unlink(missing_ok=True)
     try:
         yield
     except FolderInUseError:
         raise  # it is the other process that says how the run in there ends
+    except OtherSettingsError:
+        # Nothing has been done to the run that is there.
+        if before is not None:
+            write_text(note, before)
+        raise
     except Exception as error:
+        if not swept:
+            raise
         failure = explain(error)
         text = "".join(traceback.format_exception(error)) if failure is None else failure.message
         write_text(note, text + "\n")
@@ -61,16 +72,15 @@ def print_summary() -> None:
     if not _started:
         return
     # Here, because it loads PyTorch, which every command would wait for.
-    from toile.reports.sweep import read_sweep
+    from toile.reports.sweep import outcomes
 
     folder = _started.pop()
-    try:
-        sweep = read_sweep([folder])
-    except InputError:
+    finished, unfinished = outcomes(folder)
+    total = finished + len(unfinished)
+    if not total:
         return  # nothing was begun; why has been said
-    total = len(sweep.runs) + len(sweep.unfinished)
-    lines = [f"{len(sweep.runs)} of {total} runs in {os.path.relpath(folder)} have a result"]
-    lines += [f"{run.name}: {run.reason}" for run in sweep.unfinished]
-    if sweep.unfinished:
+    lines = [f"{finished} of {total} runs in {os.path.relpath(folder)} have a result"]
+    lines += [f"{run.name}: {run.reason}" for run in unfinished]
+    if unfinished:
         lines.append(f"The same command with hydra.sweep.dir={os.path.relpath(folder)} runs what is missing.")
     print("\n".join(lines), file=sys.stderr)

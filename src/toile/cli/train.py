@@ -12,6 +12,7 @@ from typing import Any
 
 import pandas as pd
 import torch
+from hydra.core.hydra_config import HydraConfig
 from lightning import Callback, Trainer
 from omegaconf import DictConfig
 
@@ -41,6 +42,7 @@ from toile.reports.run_folder import (
     write_git_revision,
     write_history,
     write_metrics,
+    write_overrides,
 )
 
 log = logging.getLogger(__name__)
@@ -66,6 +68,9 @@ def run(cfg: DictConfig) -> None:
     trainer = build_trainer(cfg, stop, average)
     if trainer.is_global_zero:
         write_config(folder, config)
+        if checkpoint is None or not folder.overrides.is_file():
+            # What the run was started with; what a later call adds may yet turn out to be wrong.
+            write_overrides(folder, HydraConfig.get().overrides.task)
         write_git_revision(folder)
     if checkpoint is not None:
         check_checkpoint(checkpoint, module, STATE, "training")

@@ -55,6 +55,8 @@ class Instant:
         acceleration: gravity and wind (3,) [m/s²].
         boundary: pinned positions at its end (n_pinned, 3) [m].
         after: what changes the elements after the effect.
+        held: time since frame 0 whose forces are held over the frame that the sub-step is of [s], see
+            effects.setting; None: forces act as they are at its end.
     """
 
     step: StepForces
@@ -64,6 +66,7 @@ class Instant:
     acceleration: Array
     boundary: Array
     after: tuple[ElementTerm, ...] = ()
+    held: float | None = None
 
 
 def derivatives(function: Callable[[Effect], Tensor], effect: Effect) -> Array:
@@ -98,7 +101,8 @@ def force_sensitivities(effect: Effect, instant: Instant, around: Surroundings) 
 
         return derivatives(force, effect)
     if isinstance(effect, ForceEffect):
-        times = torch.tensor([instant.time], dtype=torch.float64)
+        held = instant.time if instant.held is None else instant.held
+        times = torch.tensor([held], dtype=torch.float64)
 
         def push(acting: Effect) -> Tensor:
             assert isinstance(acting, ForceEffect)

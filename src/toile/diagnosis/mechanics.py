@@ -250,11 +250,14 @@ def effect_systems(
     changing = [*(e for e in effects if isinstance(e, ElementEffect) and e.is_active), *after]
     stiffening = bool(after) and any(isinstance(e, StrainStiffening) for e in changing)
 
+    held = around.held_times().tolist()
+
     def shared(window: WindowMotion) -> Callable[[StepForces], Array]:
         def sensitivities(step: StepForces) -> Array:
             time = window.first / around.fps + (step.index + 1) * h
             boundary = step.positions[pinned]
-            now = Instant(step, time, h, base.material, acceleration, boundary, after)
+            of_frame = held[window.first + step.index // shooting.substeps]
+            now = Instant(step, time, h, base.material, acceleration, boundary, after, of_frame)
             stiffer = of_base(step)
             if stiffening:
                 assert shooting.tension is not None

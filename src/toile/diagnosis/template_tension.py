@@ -37,7 +37,7 @@ class TemplateTension(ElementTerm):
         tensions: (E,) [N].
     """
 
-    rank: ClassVar[int] = 2
+    rank: ClassVar[int] = 3
     past_reach: ClassVar[int] = 0
     tensions: Tensor
 

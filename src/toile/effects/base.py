@@ -217,6 +217,14 @@ class Surroundings:
             return self.times
         return torch.arange(self.n_frames, dtype=torch.float64) / self.fps
 
+    def held_times(self) -> Tensor:
+        """Times at which forces are evaluated that are held from frame to frame (F - 1,) [s]: the middles.
+
+        So a force that varies is neither early nor late, and one of zero mean has none.
+        """
+        times = self.frame_times()
+        return 0.5 * (times[:-1] + times[1:])
+
 
 class VertexEffect(Effect, VertexTerm):
     """Acts within a step through a potential of every vertex (drag, contact, following forces)."""

@@ -31,7 +31,7 @@ class InternalDamping(ElementEffect):
     NAME: ClassVar[str] = "internal_damping"
     STAGE: ClassVar[Stage] = Stage.MECHANICS
     own_past: ClassVar[bool] = True
-    rank: ClassVar[int] = 1
+    rank: ClassVar[int] = 2
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
         Parameter("in_plane", "s", 0.0, 1.0, 0.02, "relaxation time of stretch and shear"),
         Parameter("bending", "s", 0.0, 1.0, 0.05, "relaxation time of bending"),

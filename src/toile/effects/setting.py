@@ -81,7 +81,8 @@ def external_forces(
 ) -> Tensor:
     """Masses times gravity, wind and what force effects add, (F-1, N, 3) [N].
 
-    Effects are evaluated at the end of each frame interval, in the clip's own clock.
+    Effects are evaluated in the middle of each frame interval, over which the force is held, in the clip's
+    own clock, see Surroundings.held_times.
 
     Args:
         effects: see setting.
@@ -90,7 +91,7 @@ def external_forces(
         acceleration: see setting.
     """
     total = around.gravity if acceleration is None else around.gravity + acceleration
-    times = around.frame_times()[1:]
+    times = around.held_times()
     for effect in effects:
         if isinstance(effect, ForceEffect) and effect.is_active:
             total = total + effect.acceleration(times, around)

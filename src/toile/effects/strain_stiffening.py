@@ -12,8 +12,8 @@ from toile.physics.step_terms import StepContext
 class StrainStiffening(ElementEffect):
     """Secant stiffness Y (1 + a ε²) with the strain ε = ‖e‖ / L₀ - 1, and S (1 + b (φ - φ₀)²).
 
-    The strain is that at the step's begin. The tension is then Y L₀ (ε + a ε³), the first odd term of a
-    measured curve, which stiffens in tension and compression alike.
+    The strain is that at the step's begin, from the rest shape of the step. The tension is then
+    Y L₀ (ε + a ε³), the first odd term of a measured curve, which stiffens in tension and compression alike.
 
     Where the rest shape is under a tension T already, strain counts from the unstretched length, which T
     implies to first order: ε₀ = T / (Y L₀). T itself is the load's and stays, so the stiffness is that of the
@@ -24,6 +24,7 @@ class StrainStiffening(ElementEffect):
     STAGE: ClassVar[Stage] = Stage.MECHANICS
     past_reach: ClassVar[int] = 1
     own_past: ClassVar[bool] = True
+    rank: ClassVar[int] = 1
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
         Parameter("stretching", "1", 0.0, 1e5, 500.0, "a: the stiffness doubles at a strain of 1 / √a"),
         Parameter("shearing", "1/rad²", 0.0, 1e3, 10.0, "b: the stiffness doubles at an angle of 1 / √b"),
@@ -39,10 +40,11 @@ class StrainStiffening(ElementEffect):
             return elements
         stretching, shearing = self.values
         of = now.cloth.energies.named
-        strain, angle = of("stretching").strain(now.positions), of("shearing").strain(now.positions)
+        # A cloth that has grown is not strained by that.
+        strain, angle = (of(n).strain(now.positions, elements.rest[n]) for n in ("stretching", "shearing"))
         growth = strain.square()
         if elements.tensions is not None:
             stiffness = now.material["stretching"].detach()
-            before = elements.tensions / (stiffness * of("stretching").rest)
+            before = elements.tensions / (stiffness * elements.rest["stretching"])
             growth = growth + 3 * before * (before + strain)
         return elements.scaled(stretching=(1 + stretching * growth), shearing=(1 + shearing * angle.square()))

@@ -65,7 +65,7 @@ class StepContext:
 
     @cached_property
     def normals(self) -> Tensor:
-        """Unit normals (N, 3) of the cloth at x_n, towards the side from which its faces turn clockwise."""
+        """Unit normals (N, 3) of the cloth at x_n, to the side where its faces turn counter-clockwise."""
         return vertex_normals(self.positions, self.cloth.topology.faces)
 
     def detached(self) -> StepContext:
@@ -76,7 +76,8 @@ class StepContext:
             positions=self.positions.detach(),
             velocities=self.velocities.detach(),
             time=self.time,
-            time_step=float(torch.as_tensor(self.time_step).detach()),
+            # Not by as_tensor alone: that rounds a float to single precision.
+            time_step=float(torch.as_tensor(self.time_step, dtype=torch.float64).detach()),
             boundary=self.boundary.detach(),
         )
 
@@ -109,8 +110,9 @@ class ElementTerm(ABC):
     """A change of stiffness factors or rest shape; terms apply one after the other.
 
     Attributes:
-        rank: terms of a higher one go after those of a lower one, whichever was given first: what remembers a
-            shape after what changes the shape that is remembered, a load's tension after both.
+        rank: terms of a higher one go after those of a lower one, whichever was given first: what is stiffer
+            where it is strained after what changes the rest shape (0), what remembers a shape after both, a
+            load's tension last.
         past_reach: see VertexTerm.
         own_past: whether what happened before a step changes every element through its own vertices alone.
         values: numbers inside the term (n,) that derivatives are taken by.

@@ -89,6 +89,13 @@ def ablation_cells(
                         "value": value,
                     }
                 )
+    if not rows:
+        raise InputError(
+            "No run has any of these metrics",
+            where=str(sweep.folder),
+            expected=_known(sweep),
+            got=", ".join(metrics),
+        )
     keys = ["metric", "title", "unit", "higher_is_better", "ablation", "scene"]
     cells = (
         pd.DataFrame(rows)
@@ -333,13 +340,13 @@ def write_tables(
         words = caption(sweep, cells, metric)
         shown = formatted(cells, metric, order, "**{}**", " ± ")
         title = cells.title[cells.metric == metric].iloc[0]
-        markdown += [f"## {title}", words, shown.to_markdown()]
+        markdown += [f"## {title}", words, _markdown_table(shown)]
         plain = formatted(cells, metric, order, r"\textbf{{{}}}", r" $\pm$ ")
         latex.append(_latex_table(plain, words, f"{name}_{metric}"))
         if (cells.seeds[cells.metric == metric] == PUBLISHED_SEEDS).any() and metric not in _TIMES:
             words = f"{title}, relative to {_BASE} of the same column."
             shown = relative(cells, metric, order)
-            markdown += [words, shown.to_markdown()]
+            markdown += [words, _markdown_table(shown)]
             latex.append(_latex_table(shown, words, f"{name}_{metric}_relative"))
     markdown += ["## Runs", _runs_table(cells, metrics[0]), *_missing(sweep)]
     folder.mkdir(parents=True, exist_ok=True)
@@ -350,10 +357,19 @@ def write_tables(
     ]
 
 
+def _markdown_table(table: pd.DataFrame) -> str:
+    """With names that have a bar in them."""
+    names = {
+        axis: [str(x).replace("|", r"\|") for x in getattr(table, axis)] for axis in ("index", "columns")
+    }
+    titles = {axis: getattr(table, axis).name for axis in names}
+    plain = table.set_axis(names["index"], axis=0).set_axis(names["columns"], axis=1)
+    return str(plain.rename_axis(index=titles["index"], columns=titles["columns"]).to_markdown())
+
+
 def _latex_table(table: pd.DataFrame, words: str, label: str) -> str:
     plain = table.replace("–", "--").rename_axis(index=None, columns=None)
-    plain.index = plain.index.str.replace("_", r"\_")
-    plain.columns = plain.columns.str.replace("_", r"\_")
+    plain.index, plain.columns = (pd.Index([_latex(str(x)) for x in i]) for i in (plain.index, plain.columns))
     return str(plain.style.to_latex(hrules=True, caption=_latex(words), label=f"tab:{label}", position="t"))
 
 
@@ -435,7 +451,7 @@ def _cell(row: Any, pm: str) -> str:
     if row.seeds == PUBLISHED_SEEDS:
         return f"{row.published:g}"
     digits = max(0, _DIGITS - 1 - math.floor(math.log10(abs(row.mean)))) if row.mean else 0
-    if math.isnan(row.deviation) or row.deviation < _NO_DEVIATION * abs(row.mean):
+    if math.isnan(row.deviation) or row.deviation <= _NO_DEVIATION * abs(row.mean):
         return f"{row.mean:.{digits}f}"
     digits = max(digits, -math.floor(math.log10(row.deviation)))
     return f"{row.mean:.{digits}f}{pm}{row.deviation:.{digits}f}"
@@ -461,6 +477,15 @@ def _missing(sweep: Sweep) -> list[str]:
 def _latex(text: str) -> str:
     """Escaped, and in characters that every LaTeX engine has."""
     special = {
+        "\\": r"\textbackslash{}",
+        "{": r"\{",
+        "}": r"\}",
+        "$": r"\$",
+        "#": r"\#",
+        "~": r"\textasciitilde{}",
+        "^": r"\textasciicircum{}",
+        "<": r"$<$",
+        "|": r"\textbar{}",
         "_": r"\_",
         "%": r"\%",
         "&": r"\&",

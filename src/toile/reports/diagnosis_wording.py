@@ -259,7 +259,9 @@ def shrinkage(shrink: Shrink) -> str:
     else:
         falls = shrink.estimate >= 0
         numbers = f"from {shrink.base:.3g} to {shrink.with_effect:.3g} {unit}".strip()
-        ends = sorted(abs(v) if shrink.low * shrink.high >= 0 else v for v in (shrink.low, shrink.high))
+        # Said of what is less, or of what is more.
+        one_way = shrink.low * shrink.high >= 0
+        ends = sorted(abs(v) if one_way else v if falls else -v for v in (shrink.low, shrink.high))
         first, last = map(amount, ends)
         between = "" if first == last else f" ({first} to {last})"
         text = (

@@ -17,6 +17,9 @@ from toile.evaluation.evaluate import EvaluationResult
 from toile.reports.run_folder import RunFolder, read_config, read_metrics, read_trajectory
 from toile.reports.run_settings import Difference, differences, read_settings
 
+_FIT = "fit"
+_RESULTS = {"training": "metrics.json", "diagnosis": "diagnosis.json", _FIT: "metrics.json"}
+"""What a run is, by the key of its settings, and what it leaves."""
 UNFINISHED = "no metrics.json: interrupted, or still running"
 COMPARED_PARAMETERS = ("stretching [N/m]", "shearing [N·m]", "bending [N·m]")
 """Parameters of trajectory.npz whose end values are compared."""
@@ -127,8 +130,22 @@ class Sweep:
         return list(dict.fromkeys(run.evaluation.scene for run in self.runs))
 
 
+def outcomes(folder: Path) -> tuple[int, list[Unfinished]]:
+    """How many runs in and below a folder have a result, fits or not, and those that have none."""
+    finished, unfinished = 0, []
+    for path in _run_folders(folder, kinds=tuple(_RESULTS)):
+        run, name = RunFolder(path), _name(path, folder)
+        kind = _kind(path)
+        read = _read(run, name) if kind == _FIT else _read_other(run, name, _RESULTS[kind])
+        if isinstance(read, Unfinished):
+            unfinished.append(read)
+        else:
+            finished += 1
+    return finished, unfinished
+
+
 def read_sweep(folders: Sequence[Path]) -> Sweep:
-    """Read all runs in and below some folders.
+    """Read all fits in and below some folders.
 
     Args:
         folders: run folders, or folders that hold run folders at any depth.
@@ -141,7 +158,7 @@ def read_sweep(folders: Sequence[Path]) -> Sweep:
         below = list(_run_folders(folder))
         if not below:
             raise InputError(
-                "Not a run folder, and no run below it",
+                "Not a folder of a fit, and no fit below it",
                 where=str(folder),
                 expected="a folder with metrics.json or config.yaml, or one that holds such folders",
                 got="a folder without any" if folder.is_dir() else "no such folder",
@@ -187,23 +204,36 @@ def _is_choice(difference: Difference, scenes: Sequence[str]) -> bool:
     return path != "scene.name" and any(len(found) > 1 for found in values.values())
 
 
-def _run_folders(folder: Path) -> Iterator[Path]:
+def _run_folders(folder: Path, kinds: Sequence[str] = (_FIT,)) -> Iterator[Path]:
     """Folders of runs in and below a folder, hidden ones left out; a run holds no other run."""
     for place, folders, files in os.walk(folder):
-        if "metrics.json" in files or _is_fit(Path(place), files):
+        if {"metrics.json", "config.yaml", "failure.txt"} & set(files):
             folders.clear()
-            yield Path(place)
+            if _kind(Path(place)) in kinds:
+                yield Path(place)
         folders[:] = sorted(f for f in folders if not f.startswith("."))
 
 
-def _is_fit(folder: Path, files: Sequence[str]) -> bool:
-    """Whether an unfinished run may be a fit: trainings have a configuration too, but no scene."""
-    if "config.yaml" not in files:
-        return "failure.txt" in files
+def _kind(folder: Path) -> str:
+    """What a run is, see _RESULTS; one that does not say counts as a fit."""
+    run = RunFolder(folder)
+    if not run.config.is_file():
+        return _FIT
     try:
-        return "scene" in read_settings(read_config(RunFolder(folder)), str(folder))
+        settings = read_settings(read_config(run), str(run.config))
     except InputError:
-        return True
+        return _FIT
+    return next((kind for kind in _RESULTS if kind != _FIT and kind in settings), _FIT)
+
+
+def _read_other(folder: RunFolder, name: str, result: str) -> RunFolder | Unfinished:
+    """A run that is no fit, as far as it goes."""
+    if folder.failure.is_file():
+        text = folder.failure.read_text(encoding="utf-8", errors="replace").strip()
+        return _unfinished(folder, name, _last_words(text))
+    if not (folder.path / result).is_file():
+        return _unfinished(folder, name, f"no {result}: interrupted, or still running")
+    return folder
 
 
 def _name(path: Path, common: Path) -> str:
@@ -227,7 +257,7 @@ def _read(folder: RunFolder, name: str) -> Run | Unfinished:
             name,
             evaluation,
             settings,
-            _overrides(folder.path),
+            _overrides(folder),
             _parameters(folder),
             _number(fit, "seconds of the fit"),
             _number(fit, "processor seconds of the fit"),
@@ -247,7 +277,7 @@ def _unfinished(folder: RunFolder, name: str, reason: str) -> Unfinished:
         settings = read_settings(read_config(folder), str(folder.config))
     except InputError:
         settings = {}
-    return Unfinished(folder, name, reason, settings, _overrides(folder.path))
+    return Unfinished(folder, name, reason, settings, _overrides(folder))
 
 
 def _last_words(text: str) -> str:
@@ -263,9 +293,11 @@ def _parameters(folder: RunFolder) -> dict[str, float]:
     return {n: float(saved[n]) for n in COMPARED_PARAMETERS if n in saved and np.size(saved[n]) == 1}
 
 
-def _overrides(folder: Path) -> tuple[str, ...]:
-    path = folder / ".hydra" / "overrides.yaml"
-    if not path.is_file():
+def _overrides(folder: RunFolder) -> tuple[str, ...]:
+    """What the run was started with; Hydra's record may be of a later call, that was refused."""
+    records = (folder.overrides, folder.path / ".hydra" / "overrides.yaml")
+    path = next((record for record in records if record.is_file()), None)
+    if path is None:
         return ()
     try:
         given = yaml.safe_load(path.read_text(encoding="utf-8"))

@@ -111,7 +111,9 @@ def effect_tangents(
     rest = np.zeros((n, len(motion[0]), 3))
 
     def loads(step: StepForces) -> LoadSensitivities:
-        now = Instant(step, (step.index + 1) * h, h, stiffness(around), acceleration, step.positions[pinned])
+        end, boundary = (step.index + 1) * h, step.positions[pinned]
+        held = float(around.held_times()[step.index])
+        now = Instant(step, end, h, stiffness(around), acceleration, boundary, held=held)
         return LoadSensitivities(force_sensitivities(effect, now, around), np.zeros((n, len(pinned), 3)))
 
     known = KnownMotion(simulator, motion, stiffness(around), settings=UNLIMITED)

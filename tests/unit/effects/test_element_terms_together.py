@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import permutations
 
 import numpy as np
@@ -12,9 +13,12 @@ import torch
 from toile.diagnosis.effect_sensitivities import Instant, stretching_within
 from toile.diagnosis.sensitivities import StepForces
 from toile.diagnosis.template_tension import TemplateTension
+from toile.effects.base import Surroundings
+from toile.effects.gusts import Gusts
 from toile.effects.internal_damping import InternalDamping
 from toile.effects.nonuniform_stiffness import NonuniformStiffness
 from toile.effects.rest_length_drift import RestLengthDrift
+from toile.effects.setting import external_forces
 from toile.effects.strain_stiffening import StrainStiffening
 from toile.generation.out_of_family.other_forms import RayleighDamping
 from toile.physics.cloth import Cloth, grid_cloth
@@ -88,6 +92,7 @@ def test_what_each_does_hangs_on_no_order(law: GridLaw) -> None:
         InternalDamping({"in_plane": 0.05, "bending": 0.02}),
         drift(),
         uneven.with_values(uneven.scales),
+        StrainStiffening({"stretching": 500.0}),
         tensions,
     ]
     first, *others = (force(cloth, list(order), sheared(0.1, 0.02)) for order in permutations(terms))
@@ -115,6 +120,51 @@ def test_nothing_is_damped_where_nothing_moves_in_generated_scenes(law: GridLaw)
     still = now.cloth.energies.elements()
     damped = damping.elements(still, now)
     np.testing.assert_allclose(force_by(damped, now), force_by(still, now), rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("law", [angles, taut, taut_fitted])
+def test_a_cloth_that_has_shrunk_is_not_stiffer_for_it(law: GridLaw) -> None:
+    """Its strain was counted from the lengths before: at rest, by 10 % shrunk, it was 5.5 times as stiff."""
+    cloth = cloth_of(law)
+    shrunk = RestLengthDrift({"axis_0_mean_1": -0.1, "axis_1_mean_1": -0.1}).for_clip(0.5)
+    stiffening = StrainStiffening({"stretching": 500.0, "shearing": 10.0})
+    now = context_of(cloth, math.exp(-0.1) * sheared(0.0))
+    elements = changed_elements((shrunk, stiffening), now)
+    edges = cloth.energies.named("stretching")
+    torch.testing.assert_close(elements.rest["stretching"], edges.measure(now.positions))
+    for name in ("stretching", "shearing"):
+        torch.testing.assert_close(
+            elements.factors[name], torch.ones_like(elements.factors[name]), rtol=1e-9, atol=0
+        )
+
+
+def test_terms_know_the_step_as_it_is() -> None:
+    """It was rounded to single precision where it was a number, and not where it was a tensor."""
+    now = context_of(cloth_of(angles), sheared(0.0))
+    assert now.detached().time_step == H
+    exact = torch.tensor(H, dtype=torch.float64)
+    assert replace(now, time_step=exact).detached().time_step == H
+
+
+def test_normals_are_those_of_faces_that_turn_counter_clockwise() -> None:
+    """Seen from the side that they point to."""
+    now = context_of(cloth_of(angles), sheared(0.0))
+    a, b, c = now.positions[now.cloth.topology.faces[0]]
+    about = torch.linalg.cross(b - a, c - a)
+    assert float(now.normals[0] @ about) > 0  # right-handed: counter-clockwise, seen against the normal
+
+
+def test_gusts_have_no_mean_and_are_not_early() -> None:
+    """Evaluated where an interval ends, every odd mode left a tenth of itself to the wind here."""
+    around = Surroundings(cloth_of(angles), (0.3, 0.4), torch.tensor([0.0, 9.81, 0.0]).double(), 25.0, 11)
+    bare = external_forces((), around, around.cloth)
+    for mode in range(1, 7):
+        gust = external_forces((Gusts({f"x_{mode}": 3.0}),), around, around.cloth) - bare
+        assert float(gust.abs().max()) > 0
+        torch.testing.assert_close(gust.mean(0), torch.zeros_like(gust[0]), rtol=0, atol=1e-12)
+    # The first half wave changes its sign in the middle of the clip.
+    first = external_forces((Gusts({"x_1": 3.0}),), around, around.cloth) - bare
+    torch.testing.assert_close(first, -first.flip(0))
 
 
 @pytest.mark.parametrize("stiffening", [0.0, 500.0])

@@ -70,9 +70,9 @@ class Bending(EnergyTerm):
         before, middle, after = positions[self.stencil].unbind(1)
         return angle_between(middle - before, after - middle)
 
-    def strain(self, positions: Tensor) -> Tensor:
+    def strain(self, positions: Tensor, rest: Tensor | None = None) -> Tensor:
         """See EnergyTerm."""
-        return self.measure(positions) - self.rest[:, 0]
+        return self.measure(positions) - (self.rest if rest is None else rest)[:, 0]
 
     def turns(self, positions: Tensor) -> Tensor:
         """v̂ - û (E, 3): where the next edge points beyond the one before; of length 2 sin(θ/2)."""

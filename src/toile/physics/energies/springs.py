@@ -65,9 +65,9 @@ class TautStretching(EnergyTerm):
         """Lengths (E,) [m]."""
         return edge_lengths(positions, self.stencil)
 
-    def strain(self, positions: Tensor) -> Tensor:
+    def strain(self, positions: Tensor, rest: Tensor | None = None) -> Tensor:
         """See EnergyTerm: ‖e‖ / L₀ - 1."""
-        return self.measure(positions) / self.rest - 1
+        return self.measure(positions) / (self.rest if rest is None else rest) - 1
 
     def kernels(self) -> TermKernels:
         """See EnergyTerm."""
@@ -105,9 +105,9 @@ class DiagonalShearing(EnergyTerm):
         """Lengths (E,) [m]."""
         return edge_lengths(positions, self.stencil)
 
-    def strain(self, positions: Tensor) -> Tensor:
+    def strain(self, positions: Tensor, rest: Tensor | None = None) -> Tensor:
         """The shear angle γ = 2 ε that changes a diagonal that much [rad]."""
-        return 2 * (self.measure(positions) / self.rest - 1)
+        return 2 * (self.measure(positions) / (self.rest if rest is None else rest) - 1)
 
     def kernels(self) -> TermKernels:
         """See EnergyTerm."""

@@ -47,9 +47,9 @@ class Stretching(EnergyTerm):
         """Lengths (E,) [m]."""
         return edge_lengths(positions, self.stencil)
 
-    def strain(self, positions: Tensor) -> Tensor:
+    def strain(self, positions: Tensor, rest: Tensor | None = None) -> Tensor:
         """See EnergyTerm: ‖e‖ / L₀ - 1."""
-        return self.measure(positions) / self.rest - 1
+        return self.measure(positions) / (self.rest if rest is None else rest) - 1
 
     def kernels(self) -> TermKernels:
         """See EnergyTerm."""

@@ -92,9 +92,14 @@ class EnergyTerm(ABC):
             got=f"the energy {self.name}",
         )
 
-    def strain(self, positions: Tensor) -> Tensor:
-        """Dimensionless departure from rest (E,): relative change of length, or change of angle [rad]."""
-        return self.measure(positions) - self.rest
+    def strain(self, positions: Tensor, rest: Tensor | None = None) -> Tensor:
+        """Dimensionless departure from rest (E,): relative change of length, or change of angle [rad].
+
+        Args:
+            positions: (N, 3) [m].
+            rest: shape of every element in the step in question; None: that of the cloth.
+        """
+        return self.measure(positions) - (self.rest if rest is None else rest)
 
     def forces_by_rest(
         self, positions: Tensor, coefficients: Tensor, factors: Tensor, k: int

@@ -120,7 +120,9 @@ class SweepPage:
         usual = {s: Spread.of(_values(_in_scene(self.sweep.runs, s), key)).mean for s in self.sweep.scenes}
 
         def standing(group: Group) -> float:
-            relative = Spread.of(_value(r, key) / usual[r.evaluation.scene] for r in group.runs).mean
+            # Where all runs have lost the cloth (an overlap of 0) nothing stands out.
+            means = {scene: mean or math.nan for scene, mean in usual.items()}
+            relative = Spread.of(_value(r, key) / means[r.evaluation.scene] for r in group.runs).mean
             if math.isnan(relative):
                 return math.inf
             return -relative if metric.higher_is_better else relative
