@@ -48,6 +48,7 @@ def test_values(words: str, expected: list[str]) -> None:
 
 def test_settings_and_groups() -> None:
     found = candidates(["fit", ""])
+    assert "resume=" in candidates(["diagnose", "res"])
     assert {"optimization=", "optimization.", "seed=", "resume=", "simulator/integrator="} <= set(found)
     assert not [word for word in found if word.startswith(("hydra", "_"))]
     assert "method=" not in found

@@ -109,3 +109,11 @@ def test_sweep_goes_on_after_a_bad_scene(toile, scene_folder: Path) -> None:
     assert "Scene nothing" in out
     assert "Scene tiny" in out
     assert "errors: 0" in out
+
+
+def test_settings_that_it_does_not_look_at_are_refused(toile, scene_folder: Path) -> None:
+    status, _, err = toile("doctor", "scene=tiny", "scene.fps=5000", "scene.pinned_vertices=[99999]")
+    assert status == 2
+    assert "scene.fps=5000" in err
+    assert "scene.pinned_vertices" in err
+    assert toile("doctor", f"scene.name={scene_folder}").status == 0

@@ -140,6 +140,9 @@ def test_an_interrupted_fit_leaves_a_usable_folder_and_continues(
     run = RunFolder(tmp_path / "run")
     assert len(read_history(run)) == 3
     assert read_trajectory(run).positions.shape[0] == 5
+    # Numbers and a page of what there is do not end it.
+    assert toile("evaluate", "run=run").status == 0
+    assert toile("report", "run").status == 0
     outcome = toile("fit", "resume=run")
     assert outcome.status == 0, outcome.err
     assert "continuing from" in outcome.err

@@ -267,7 +267,7 @@ def test_report_of_nothing(toile, tmp_path: Path) -> None:
     (tmp_path / "empty" / "below").mkdir(parents=True)
     status, _, err = toile("report", "empty")
     assert status == 2
-    assert "no run below" in err
+    assert "no fit below" in err
     status, _, err = toile("report")
     assert status == 2
     assert "say run=" in err

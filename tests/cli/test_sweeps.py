@@ -68,6 +68,27 @@ def test_a_run_of_a_sweep_that_is_finished_by_itself_has_not_failed(toile: Toile
     assert not (run / "failure.txt").exists()
 
 
+def test_a_refused_call_says_nothing_against_the_run_that_is_there(toile: Toile) -> None:
+    assert toile("fit", "-m", *SHORT, "hydra.sweep.dir=runs").status == 0
+    (run,) = (path.parent for path in Path("runs").glob("*/metrics.json"))
+    refused = toile("fit", "-m", *SHORT, "seed=3", "hydra.sweep.dir=runs")
+    assert refused.status == 2
+    assert "other settings" in refused.err
+    assert not (run / "failure.txt").exists()
+    (run / "failure.txt").write_text("error: no space left\n")
+    assert toile("fit", "-m", *SHORT, "seed=3", "hydra.sweep.dir=runs").status == 2
+    assert (run / "failure.txt").read_text() == "error: no space left\n"
+
+
+def test_commands_without_a_folder_leave_what_lies_there(toile: Toile) -> None:
+    """Standing in the folder of a failed run, a question lost why it had failed."""
+    Path("failure.txt").write_text("error: no space left\n")
+    toile("record")
+    toile("doctor", "scene=swaying")
+    toile("report", ".")
+    assert Path("failure.txt").read_text() == "error: no space left\n"
+
+
 def test_an_interrupted_sweep_ends_with_the_same_table(toile: Toile, monkeypatch: pytest.MonkeyPatch) -> None:
     sweep = ("fit", "-m", *ABLATIONS, "ablation=none,no_silhouette", "seed=0,1")
     assert toile(*sweep, "paths.outputs=whole").status == 0

@@ -151,7 +151,7 @@ def read_sweep(folders: Sequence[Path]) -> Sweep:
         folders: run folders, or folders that hold run folders at any depth.
 
     Raises:
-        InputError: there is no run below one of them.
+        InputError: there is no fit below one of them.
     """
     found: dict[Path, None] = {}
     for folder in folders:

@@ -258,3 +258,23 @@ def test_files_with_published_columns_have_no_gaps(measured_twice: Sweep, tmp_pa
     assert r"tab:t_chamfer_relative" in latex
     assert not set(latex) & set("±×⁻⁴½–²“”")
     assert markdown.count("R1/none/seed0") == 1
+
+
+def test_names_are_escaped_and_zeros_are_written(tmp_path: Path) -> None:
+    for seed in (0, 1):
+        make_run(tmp_path, "R&D 50%_|#1", "none", seed, 0.0, 10)
+    write_tables(read_sweep([tmp_path]), ["chamfer"], ORDER, tmp_path / "out", "table", "")
+    latex = (tmp_path / "out" / "table.tex").read_text()
+    assert r"R\&D 50\%\_\textbar{}\#1" in latex
+    markdown = (tmp_path / "out" / "table.md").read_text()
+    assert r"R&D 50%_\|#1" in markdown
+
+
+def test_metrics_that_no_scene_allows_are_said(tmp_path: Path) -> None:
+    run = create_run_folder(tmp_path / "R1")
+    write_config(run, yaml.safe_dump({"scene": {"name": "R1"}, "seed": 0, "ablation": "none"}))
+    metrics = {"iou": Metric("iou", "Overlap", "", "of masks", np.full(2, 0.9), higher_is_better=True)}
+    numbers = EvaluationResult("R1", 2, 0, metrics, {"chamfer": "no ground truth"}).to_dict()
+    write_metrics(run, {**numbers, "fit": {"seconds of the fit": 1.0}})
+    with pytest.raises(InputError, match="No run has any of these metrics"):
+        cells_of(tmp_path, "chamfer")

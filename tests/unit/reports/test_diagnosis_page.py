@@ -323,6 +323,9 @@ def test_no_shrinkage_is_claimed_within_the_placebo() -> None:
     assert "placebo" not in shrinkage(dataclasses.replace(SHRINK, best_placebo=None))
     worse = dataclasses.replace(SHRINK, with_effect=9.6, estimate=-0.2, low=-0.3, high=-0.1)
     assert "grows from 8 to 9.6 mm: 20 % more (10 % to 30 %)" in shrinkage(worse)
+    # An interval that holds no change is said the way that the value is.
+    perhaps = dataclasses.replace(SHRINK, with_effect=8.4, estimate=-0.05, low=-0.1, high=0.03)
+    assert "5 % more (-3 % to 10 %)" in shrinkage(perhaps).replace("\N{MINUS SIGN}", "-")
     # A bad placebo does not make nothing into something.
     assert not beats_placebo(dataclasses.replace(SHRINK, low=-0.01, best_placebo=-0.5))
 

@@ -12,9 +12,15 @@ from toile.errors import InputError
 from toile.evaluation.evaluate import EvaluationResult, Metric
 from toile.reports.page.charts import DotPanel, dots
 from toile.reports.page.sweep_page import Spread, SweepPage, write_sweep_page
-from toile.reports.run_folder import create_run_folder, write_config, write_metrics, write_trajectory
+from toile.reports.run_folder import (
+    create_run_folder,
+    write_config,
+    write_metrics,
+    write_overrides,
+    write_trajectory,
+)
 from toile.reports.run_settings import differences, read_settings
-from toile.reports.sweep import read_sweep
+from toile.reports.sweep import outcomes, read_sweep
 
 
 def make_run(
@@ -240,8 +246,40 @@ def test_hostile_run_is_only_text(tmp_path: Path) -> None:
 
 def test_folder_without_runs(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
-    with pytest.raises(InputError, match="no run below"):
+    with pytest.raises(InputError, match="no fit below"):
         read_sweep([tmp_path / "empty"])
+
+
+def test_outcomes_count_what_is_no_fit_as_well(tmp_path: Path) -> None:
+    """Two finished diagnoses were "0 of 2 runs", two finished trainings could not be read."""
+    for kind, result in (("training", "metrics.json"), ("diagnosis", "diagnosis.json")):
+        for k in range(2):
+            run = create_run_folder(tmp_path / kind / str(k))
+            write_config(run, yaml.safe_dump({kind: {}, "scene": {"name": "R1"}}))
+        (tmp_path / kind / "0" / result).write_text("{}")
+    make_run(tmp_path / "fit", 1.0)
+    finished, unfinished = outcomes(tmp_path)
+    assert finished == 3
+    reasons = {run.name: run.reason for run in unfinished}
+    assert set(reasons) == {"training/1", "diagnosis/1"}
+    assert "no diagnosis.json" in reasons["diagnosis/1"]
+    assert [run.name for run in read_sweep([tmp_path]).runs] == ["fit"]
+    assert not read_sweep([tmp_path]).unfinished
+
+
+def test_a_run_is_called_by_what_it_was_started_with(tmp_path: Path) -> None:
+    """Hydra's record may be of a later call, that was refused."""
+    run = make_run(tmp_path / "0", 1.0)
+    (run.path / ".hydra").mkdir()
+    (run.path / ".hydra" / "overrides.yaml").write_text("[parameters.bending=9]")
+    write_overrides(run, ["parameters.stretching=2"])
+    assert read_sweep([tmp_path]).runs[0].overrides == ("parameters.stretching=2",)
+
+
+def test_where_all_runs_have_lost_the_cloth_there_is_a_page(tmp_path: Path) -> None:
+    for k, kind in enumerate("ab"):
+        make_run(tmp_path / str(k), 0.0, kind=kind)
+    assert "2 runs" in SweepPage(read_sweep([tmp_path]), tmp_path / "report.html").render()
 
 
 def test_parts_that_only_some_have_are_one_difference() -> None:
