@@ -77,6 +77,8 @@ def test_an_interrupted_training_leaves_weights_and_continues(
     assert "stopped after 5 of 12 steps" in outcome.out
     assert signal.getsignal(signal.SIGINT) is handler
     assert not identical(tmp_path / "run", tmp_path / "whole")
+    # Hydra notes what was refused; the run has a record of its own.
+    assert toile("train", "resume=run", "seed=5").status == 2
     outcome = toile("train", "resume=run")
     assert outcome.status == 0, outcome.err
     assert "continuing from" in outcome.err
