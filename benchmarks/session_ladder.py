@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -136,6 +137,8 @@ def made(session: str, within: Path = FOLDER, plans: tuple[ClipPlan, ...] = DEFA
         else:
             clips = make_session(setup, SessionRequest(folder.name, effects, int(seed), plans))
         films = [(plan, clip.scene) for plan, clip in zip(plans, clips, strict=True)]
+        # Of fewer clips: the first of them are the same.
+        shutil.rmtree(folder, ignore_errors=True)
         write_opaque_session(folder.name, films, folder)
         for k, clip in enumerate(clips):
             np.save(folder / f"truth_{k}.npy", clip.vertices.numpy())
