@@ -383,12 +383,14 @@ class MotionEvidence:
         law prefers it to the best of them.
 
         Contact is either: a push in a place and for a moment may show under a law alone, and where it shows
-        in the balance, it is a rival of whatever pushes from outside. So are stand-ins for what the catalogue
-        lacks, but for a pressure, which shows in the balance as gusts do. Beside free forces a steady field
-        takes up what any cause leaves, and a pressure what gusts do, so there they open no case of their own:
-        they may take from the others what the law gives them. Rest lengths that drift must explain more
-        there than a density, the other cause that is a force within the cloth as well, where the law does not
-        prefer them to it.
+        in the balance, it is a rival of whatever pushes from outside. So is a steady field of forces, which
+        stands in for what the catalogue lacks; a pressure shows in the balance as gusts do. Beside free
+        forces a steady field takes up what any cause leaves, and a pressure what gusts do, so there they open
+        no case of their own: they may take from the others what the law gives them.
+
+        Rest lengths that drift are judged under the law alone. They are forces within the cloth, as errors of
+        a law are, and beside free ones they take up what threads that are too stiff, or damped otherwise,
+        leave: by that a damping and two slips were unknown, surely.
         """
         both = {name for name in WEIGHING if name in self.outside and name in self.effects}
         either = {n for n in (*PUSHING, *_FLEXIBLE) if n in self.outside and n in self.effects}
@@ -401,6 +403,7 @@ class MotionEvidence:
         freed = {
             name: (self.freed_nats(name) - weights.outside_threshold) / weights.outside_temperature
             for name in self.outside
+            if name != RestLengthDrift.NAME
         }
         if Pressure.NAME in freed and Gusts.NAME in freed:
             # Both give the balance of torques any history in time: which of them it is the law alone says.
@@ -413,8 +416,6 @@ class MotionEvidence:
         for name in freed:
             if name in _FLEXIBLE:
                 freed[name] -= weights.outside_stand_in / weights.outside_temperature
-                if name not in _SHARING:
-                    freed[name] -= sum(self._stands_against(name, one, freed[one], weights) for one in both)
         freed |= self._apart({n: v for n, v in freed.items() if n not in both}, weights)
         rivals = [name for name in freed if name not in both and name in self.effects]
         if both and rivals:

@@ -274,6 +274,22 @@ def test_a_stand_in_that_hardly_moves_the_cloth_says_nothing() -> None:
     assert chances(replace(beside, sizes={"rest_length_drift": 0.03}), SessionWeights())[UNKNOWN] > 0.99
 
 
+def test_rest_lengths_that_drift_are_judged_under_the_law_alone() -> None:
+    """Beside free forces they take up what threads that are too stiff leave; nothing stood against that."""
+    of = {nats: evidence((nats, 2.0, 2.0)).effects["air_drag"] for nats in (5.0, 100.0, 600.0)}
+    one = evidence((100.0, 2.0, 2.0))
+    sizes = {"rest_length_drift": 0.03}
+
+    def found(law: float, freed: float) -> dict[str, float]:
+        effects = {**one.effects, "rest_length_drift": of[law]}
+        outside = {"rest_length_drift": of[freed]}
+        return chances(replace(one, effects=effects, outside=outside, sizes=sizes), SessionWeights())
+
+    assert found(5.0, 600.0) == pytest.approx(found(5.0, 5.0))
+    assert found(5.0, 600.0)["air_drag"] > 0.9
+    assert found(600.0, 5.0)[UNKNOWN] > 0.9
+
+
 def test_a_cloth_that_seems_to_shrink_is_unknown_however_sure_an_effect_is() -> None:
     """Effects have been judged by a motion in which the cloth has moved away instead."""
     weights = SessionWeights()
