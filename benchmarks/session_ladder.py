@@ -385,7 +385,9 @@ def page(table: pd.DataFrame) -> str:
             "truth leads": moved.groupby("rung", sort=False)["truth leads"].sum(),
             "and above every null": pd.Series(
                 {
-                    rung: int((own["truth leads"] & (own["its gain [nats]"] > nothing)).sum())
+                    rung: np.nan
+                    if np.isnan(nothing)
+                    else int((own["truth leads"] & (own["its gain [nats]"] > nothing)).sum())
                     for rung, own in moved.groupby("rung", sort=False)
                     for nothing in [still.loc[still["rung"] == rung, "its gain [nats]"].max()]
                 },
