@@ -29,6 +29,10 @@ class FolderInUseError(InputError):
     """Another process works in the run folder."""
 
 
+class OtherSettingsError(InputError):
+    """A folder holds a run with other settings, which says nothing against that run."""
+
+
 def alone(run: Callable[[DictConfig], T]) -> Callable[[DictConfig], T]:
     """Let a command have its output folder for itself; a second one in the same folder is refused."""
 

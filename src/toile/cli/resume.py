@@ -8,6 +8,7 @@ from typing import Any
 
 import yaml
 
+from toile.cli.alone import OtherSettingsError
 from toile.cli.path_arguments import quoted
 from toile.errors import InputError
 from toile.learning.checkpoints import LAST
@@ -20,10 +21,6 @@ _FREE = (*WITHOUT_INFLUENCE, "max_minutes", "workers")
 _CHECKPOINT = f"checkpoints/{LAST}"
 # What there is to continue from; the results of a diagnosis' stages are looked for one by one.
 _BEGUN = {"diagnosis": "config.yaml"}
-
-
-class OtherSettingsError(InputError):
-    """A folder holds a run with other settings, which says nothing against that run."""
 
 
 def resume_arguments(arguments: Sequence[str], what: str) -> list[str]:

@@ -16,9 +16,8 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from toile.atomic_file import write_text
-from toile.cli.alone import FolderInUseError
+from toile.cli.alone import FolderInUseError, OtherSettingsError
 from toile.cli.failures import explain
-from toile.cli.resume import OtherSettingsError
 
 _started: list[Path] = []
 
