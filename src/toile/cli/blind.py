@@ -269,7 +269,8 @@ def _check_answers_alike(cfg: DictConfig, predictions: Predictions) -> None:
     settings = OmegaConf.to_container(cfg.settings, resolve=True) if cfg.settings is not None else None
     asked: dict[str, Any] = {"diagnose": str(cfg.diagnose), "settings": settings}
     path = predictions.folder / _HOW
-    before = read_json_object(path) if path.is_file() else {}
+    answered = any(predictions.folder.glob("*/diagnosis.json"))
+    before = read_json_object(path) if answered and path.is_file() else {}
     for name, got in asked.items():
         # Answers made before this was kept say nothing of it.
         if name in before and before[name] != got:
