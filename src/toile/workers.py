@@ -5,10 +5,11 @@ from __future__ import annotations
 import multiprocessing
 import os
 import time
+import traceback
 from collections.abc import Callable, Iterator, Sequence
 from threading import Thread
 from types import TracebackType
-from typing import Generic, TypeVar
+from typing import Generic, TypeVar, cast
 
 from joblib import Parallel, delayed
 
@@ -38,7 +39,6 @@ class Workers:
                 return_as="generator",
                 max_nbytes=_SHARED,
                 mmap_mode="c",
-                # What is handed out while a failed call is given up turns up among the next one's results.
                 pre_dispatch="all",
                 temp_folder=str(folder_of_arrays()),
                 inner_max_num_threads=1,
@@ -73,8 +73,38 @@ class Workers:
             return map(task, items)
         if flushing():
             task = _Flushed(task)
-        found: Iterator[R] = self._parallel(delayed(task)(item) for item in items)
-        return found
+        return _results(self._parallel(delayed(_Kept(task))(item) for item in items))
+
+
+class _Kept(Generic[T, R]):
+    """A task that gives back why it failed, and does not fail.
+
+    A failure makes joblib give up the call, and what is handed out by then may turn up among the results of
+    the next one.
+    """
+
+    def __init__(self, task: Callable[[T], R]) -> None:
+        self.task = task
+
+    def __call__(self, item: T) -> tuple[R | None, Exception | None]:
+        try:
+            return self.task(item), None
+        except Exception as failure:
+            failure.add_note("".join(traceback.format_exception(failure)))
+            return None, failure
+
+
+def _results(found: Iterator[tuple[R | None, Exception | None]]) -> Iterator[R]:
+    """Results as they come, or the first failure; in either case nothing is left under way."""
+    try:
+        for value, failure in found:
+            if failure is not None:
+                raise failure
+            yield cast(R, value)
+    except (Exception, GeneratorExit):
+        for _ in found:
+            pass
+        raise
 
 
 class _Flushed(Generic[T, R]):

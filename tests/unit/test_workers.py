@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import signal
 import subprocess
@@ -12,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from toile.errors import InputError
 from toile.workers import Workers
 
 POOL = """
@@ -50,6 +52,25 @@ def test_a_call_after_one_that_failed_has_its_own_results_alone() -> None:
             with pytest.raises(ZeroDivisionError):
                 list(workers.map(partial(int.__floordiv__, 1), [*range(1, 20), 0, *range(1, 20)]))
             assert list(workers.map(abs, range(-30, 0))) == list(range(30, 0, -1))
+
+
+def test_results_that_nobody_wants_are_no_results_of_the_next_call() -> None:
+    with Workers(2) as workers:
+        for _ in range(3):
+            first, *_ = itertools.islice(workers.map(abs, range(-30, 0)), 1)
+            assert first == 30
+            assert list(workers.map(abs, range(-9, 0))) == list(range(9, 0, -1))
+
+
+def refused(item: int) -> None:
+    raise InputError("No such number", where="item", expected="another", got=str(item))
+
+
+def test_what_is_wrong_is_said_from_process_to_process() -> None:
+    with Workers(2) as workers, pytest.raises(InputError, match="No such number") as raised:
+        list(workers.map(refused, [1, 2, 3]))
+    assert raised.value.got == "1"
+    assert "in refused" in "".join(raised.value.__notes__)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="kills a process")
