@@ -39,6 +39,7 @@ class Workers:
                 return_as="generator",
                 max_nbytes=_SHARED,
                 mmap_mode="c",
+                # At once: what is handed out later is so by a thread, while the next call may have begun.
                 pre_dispatch="all",
                 temp_folder=str(folder_of_arrays()),
                 inner_max_num_threads=1,

@@ -6,7 +6,7 @@ import importlib
 import json
 import logging
 import shutil
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
@@ -271,15 +271,7 @@ def _check_answers_alike(cfg: DictConfig, predictions: Predictions) -> None:
     path = predictions.folder / _HOW
     answered = any(predictions.folder.glob("*/diagnosis.json"))
     before = read_json_object(path) if answered and path.is_file() else {}
-    for name, got in asked.items():
-        # Answers made before this was kept say nothing of it.
-        if name in before and before[name] != got:
-            raise InputError(
-                "The answers there were made with another setting",
-                where=name,
-                expected=f"{name}={json.dumps(before[name])}, as in {path}, or another predictions=...",
-                got=json.dumps(got),
-            )
+    _refuse_others(before, asked, "The answers there were", f"{path}, or another predictions=...")
     if not before:
         write_text(path, json.dumps(asked, indent=1) + "\n")
 
@@ -417,13 +409,17 @@ def _check_asked(cfg: DictConfig, blind: BlindSet, action: str) -> None:
         mine, theirs = _plain(cfg.out_of_family), before["out_of_family"]
         asked |= {f"out_of_family.{name}": value for name, value in mine.items()}
         before |= {f"out_of_family.{name}": value for name, value in theirs.items()}
+    _refuse_others(before, asked, "The set was", str(blind.description))
+
+
+def _refuse_others(before: Mapping[str, Any], asked: Mapping[str, Any], what: str, kept: str) -> None:
+    """Raise InputError where a setting is another one; what was made before it was kept says nothing."""
     for name, got in asked.items():
-        # Sets made before this was kept say nothing of it.
         if name in before and before[name] != got:
             raise InputError(
-                "The set was made with another setting",
+                f"{what} made with another setting",
                 where=name,
-                expected=f"{name}={json.dumps(before[name])}, as in {blind.description}",
+                expected=f"{name}={json.dumps(before[name])}, as in {kept}",
                 got=json.dumps(got),
             )
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from toile.cli.commands import COMMANDS
+from toile.cli.main import RESUMABLE
 
 _FLAGS = ("--help", "--cfg", "--resolve", "--multirun", "--info", "--config-dir", "--package", "--hydra-help")
 _AFTER_FLAG = {
@@ -22,7 +23,6 @@ _AFTER_FLAG = {
     ),
 }
 _FILE_FLAGS = ("--config-dir", "-cd", "--config-path", "-cp")
-_RESUMABLE = ("fit", "train", "diagnose")
 _OPEN_ENDS = ("=", ".", "/")
 """A candidate that ends so is not finished: no space after it."""
 _SPECIAL = frozenset(" \t\\'\"()[]{}<>|&;$`!*?#~")
@@ -161,7 +161,7 @@ def _keys(command: str, before: Sequence[str], word: str) -> Iterator[str]:
     for key, value in _children(_at(cfg, parent.split(".")) if dot else cfg):
         if key != "hydra" and not key.startswith("_"):
             yield f"{sign}{parent}{dot}{key}{'.' if _children(value) else '='}"
-    if command in _RESUMABLE:
+    if command in RESUMABLE:
         yield "resume="
     yield from (f"{alias}=" for alias, _ in COMMANDS[command].aliases)
     yield from COMMANDS[command].words
