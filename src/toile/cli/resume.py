@@ -39,7 +39,7 @@ def resume_arguments(arguments: Sequence[str], what: str) -> list[str]:
     if not folders:
         return list(arguments)
     folder = folders[-1]
-    record, begun = _record(folder), _BEGUN.get(what, _CHECKPOINT)
+    record, begun = RunFolder(folder).record, _BEGUN.get(what, _CHECKPOINT)
     if record is None or not (folder / begun).is_file():
         raise InputError(
             f"There is no {what} to continue",
@@ -51,15 +51,6 @@ def resume_arguments(arguments: Sequence[str], what: str) -> list[str]:
     before = _overrides(record)
     others = [a for a in arguments if a.partition("=")[0] != _KEY]
     return [*before, *others, f"hydra.run.dir={quoted(str(folder))}"]
-
-
-def _record(folder: Path) -> Path | None:
-    """Where the arguments of a run stand; older runs have Hydra's own record only.
-
-    Hydra writes its record before anybody can refuse what it was asked for, so it may belong to a later call.
-    """
-    records = (RunFolder(folder).overrides, folder / ".hydra" / "overrides.yaml")
-    return next((record for record in records if record.is_file()), None)
 
 
 def _check_kind(folder: RunFolder, what: str) -> None:

@@ -90,7 +90,7 @@ class SessionWeights:
             what a law or another cause leaves [nats].
         searched: evidence that contact needs beyond, where its obstacle is the best of many that were tried:
             it takes up some of what the law is wrong by [nats].
-        outside_stand_in: that of a flexible one where the forces within the cloth are free [nats].
+        outside_stand_in: that of a steady field where the forces within the cloth are free [nats].
         outside_spread: deviation of the strength of a cause from outside, as a share of it, beside what its
             fit says and before intervals are widened (DiagnosisSettings.widened).
         strange: squared errors that the best hypothesis leaves, over those of USUAL_SHARE, where something
@@ -413,9 +413,8 @@ class MotionEvidence:
                 # Smaller than what is a cause it speaks neither for unknown nor, against effects, for none.
                 odds.pop(name, None)
                 freed.pop(name, None)
-        for name in freed:
-            if name in _FLEXIBLE:
-                freed[name] -= weights.outside_stand_in / weights.outside_temperature
+        if SteadyForces.NAME in freed:
+            freed[SteadyForces.NAME] -= weights.outside_stand_in / weights.outside_temperature
         freed |= self._apart({n: v for n, v in freed.items() if n not in both}, weights)
         rivals = [name for name in freed if name not in both and name in self.effects]
         if both and rivals:

@@ -56,6 +56,7 @@ def verdict_of(
     shrinks: Mapping[str, Shrink],
     *,
     explained: bool = True,
+    clips: int = 1,
     settings: VerdictSettings = DEFAULT,
 ) -> Verdict:
     """The verdict from probabilities, most probable first, and the evidence they come from.
@@ -66,8 +67,10 @@ def verdict_of(
         calibration: see Calibration.
         shrinks: of held-out errors, by effect.
         explained: whether the best model leaves no more of the images than a right one does.
+        clips: that it is from.
         settings: see VerdictSettings.
     """
+    one, all_of_them = ("this clip", "the clip") if clips == 1 else ("these clips", "the clips")
     candidates = confidence_set(found, settings.level)
     first = candidates[0]
     also = None
@@ -85,19 +88,19 @@ def verdict_of(
         listed = ", ".join(candidates[:_LISTED])
         if len(candidates) > _LISTED:
             listed += f" and {len(candidates) - _LISTED} more"
-        begin = "Nothing stands out: this" if first == NONE else "This"
+        begin = f"Nothing stands out: {one}" if first == NONE else one.capitalize()
         return Verdict(
             AMBIGUOUS,
             candidates,
             _stage_of(candidates),
             float(sum(found[c] for c in candidates)),
-            f"{begin} clip cannot tell {listed} apart.",
+            f"{begin} cannot tell {listed} apart.",
             next_recording(candidates),
         )
     if first == NONE:
-        reason = "The base model explains the clip to within its noise."
+        reason = f"The base model explains {all_of_them} to within its noise."
         if not explained:
-            reason = "No effect shows, but no model explains the clip: no proof that none acts."
+            reason = f"No effect shows, but no model explains {all_of_them}: no proof that none acts."
         return Verdict(NONE, candidates, NONE, found[NONE], reason, "")
     if first == UNKNOWN:
         return Verdict(

@@ -69,6 +69,16 @@ class RunFolder:
         return self.path / "overrides.yaml"
 
     @property
+    def record(self) -> Path | None:
+        """Overrides that the run was started with, as found; older runs have Hydra's own record only.
+
+        Hydra writes its record before anybody can refuse what it was asked for, so it may belong to a later
+        call.
+        """
+        records = (self.overrides, self.path / ".hydra" / "overrides.yaml")
+        return next((record for record in records if record.is_file()), None)
+
+    @property
     def git_revision(self) -> Path:
         """Revision of the code."""
         return self.path / "git_revision"

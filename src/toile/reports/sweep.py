@@ -294,13 +294,12 @@ def _parameters(folder: RunFolder) -> dict[str, float]:
 
 
 def _overrides(folder: RunFolder) -> tuple[str, ...]:
-    """What the run was started with; Hydra's record may be of a later call, that was refused."""
-    records = (folder.overrides, folder.path / ".hydra" / "overrides.yaml")
-    path = next((record for record in records if record.is_file()), None)
-    if path is None:
+    """What the run was started with."""
+    record = folder.record
+    if record is None:
         return ()
     try:
-        given = yaml.safe_load(path.read_text(encoding="utf-8"))
+        given = yaml.safe_load(record.read_text(encoding="utf-8"))
     except (OSError, ValueError, yaml.YAMLError):
         return ()
     return tuple(map(str, given)) if isinstance(given, list) else ()

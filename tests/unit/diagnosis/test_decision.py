@@ -122,6 +122,13 @@ def test_a_lost_track_is_said() -> None:
     assert "loses the cloth in frame 22" in lost.reason
 
 
+@pytest.mark.parametrize(("clips", "subject"), [(1, "This clip"), (3, "These clips")])
+def test_the_reason_speaks_of_as_many_clips_as_there_are(clips: int, subject: str) -> None:
+    found = {"air_drag": 0.5, "gusts": 0.4, "none": 0.1}
+    said = verdict_of(found, {}, CALIBRATION, {}, clips=clips)
+    assert said.reason == f"{subject} cannot tell air_drag, gusts apart."
+
+
 def test_none_does_not_say_that_all_is_explained_where_it_is_not() -> None:
     found = {NONE: 0.97, "air_drag": 0.03}
     sure = verdict_of(found, {"air_drag": 0.0}, CALIBRATION, {})
