@@ -92,7 +92,7 @@ def hypotheses(
     moving += [STAND_INS[name]().for_clip(session.longest) for name in settings.stand_ins]
     fits = fitting.linearised(moving, base, fitting.quadratic(moving, base, fitting.systems(moving, base)))
     fits |= {effect.NAME: base for effect in moving if effect.NAME in base.names}
-    chosen = promising(base, fits, moving, errors, settings.fitted, plain, base.names)
+    chosen = promising(base, fits, moving, errors, settings.fitted, plain, base.names, learned)
     chosen += [e for e in moving if fitting.has_lost_its_stiffness(e, base) and e not in chosen]
     chosen += [e for e in moving if e.NAME in also and e not in chosen and e.NAME not in base.names]
     outside = OutsideCauses({})

@@ -238,7 +238,9 @@ def diagnose_session(
     fits = model.fitting.linearised(considered, base, quadratic)
     fits |= {name: base for name in base.names if name in candidates}
     errors = model.errors(base)
-    chosen = promising(base, fits, [*moving, *stand_ins], errors, together.fitted, plain, base.names)
+    learned = learned_chances(clips, motion)
+    asked = [*moving, *stand_ins]
+    chosen = promising(base, fits, asked, errors, together.fitted, plain, base.names, learned)
     # What leads from outside is predicted as well, whatever its fit under a law says.
     leads = outside.leading(weights.outside_threshold)
     chosen += [e for e in moving if leads == e.NAME and e not in chosen]
@@ -254,7 +256,6 @@ def diagnose_session(
     # A motion that is left as tracked errs as tracking does.
     slips = together.slip if together.refining.any else settings.attachment_slip
     of_images = with_slips(clips, motion.positions, effects, slips, resized=bool(resized))
-    learned = learned_chances(clips, motion)
     fitting = model.fitting
     # How far causes from outside move the cloth is known where they were judged.
     moved_by = Displacements(fitting.clips, fitting.start, model.width)
@@ -452,6 +453,7 @@ def _report(
         calibration,
         found.left_out.shrinks,
         explained=evidence.left <= found.weights.strange,
+        clips=len(found.clips),
         settings=settings.verdict,
     )
     if verdict.effect == UNKNOWN:

@@ -140,11 +140,14 @@ def promising(
     most: int,
     plain: JointFit | None = None,
     fitted: Sequence[str] = (),
+    learned: Mapping[str, float] | None = None,
 ) -> list[Effect]:
     """Effects with most evidence, those that the base model may have aside: their fit is there.
 
     Stand-ins that are not far behind the best of them come beside, and so does what no cloth could be like
-    around the base model and promises more than the least of them: a fit may find a cloth that can.
+    around the base model and promises more than the least of them: a fit may find a cloth that can. So does
+    what the learned decision holds most probable, whatever it promises: it looks at the motion alone, and
+    the tangents around the base model say little of an effect whose cloth has another stiffness.
 
     Args:
         base: the base model.
@@ -154,6 +157,7 @@ def promising(
         most: effects at most, stand-ins aside.
         plain: see session_evidence.
         fitted: effects that have been fitted.
+        learned: probabilities of the learned decision, see session_evidence.
     """
     promised = {name: replace(fit, possible=True) for name, fit in fits.items()}
     evidence = _of_motion(base, promised, errors, None, {}, plain)
@@ -165,6 +169,8 @@ def promising(
     near = max([_WORTH, *(nats[name] - _NEAR for name in ranked)])
     ranked += [name for name in names if not fits[name].possible and nats[name] > least]
     ranked += [name for name in nats if name in STAND_INS and nats[name] > near]
+    if learned is not None and names:
+        ranked.append(max(names, key=lambda name: learned.get(name, 0.0)))
     return [effect for effect in effects if effect.NAME in ranked]
 
 

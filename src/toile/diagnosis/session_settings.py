@@ -119,7 +119,8 @@ class SessionSettings:
         freed: see FreedSettings.
         named: probability from which on an effect is the answer; more where VerdictSettings ask for more.
         fitted: hypotheses that are fitted, those with most evidence in the model linearised around the
-            base; the others keep that evidence.
+            base; what the learned decision holds most probable, and a few more, come beside (see
+            session_evidence.promising), and the others keep that evidence.
         refined: hypotheses whose prediction of the clip that is left out is measured.
         left_out_passes: over the other clips at most, for that.
         ahead: frames at 25 frames a second over which a prediction runs.

@@ -56,6 +56,24 @@ def test_what_promises_nothing_is_not_fitted() -> None:
     assert chosen("rest_curvature", air_drag=0.1, gusts=0.0, rest_curvature=0.5, steady_forces=0.2) == set()
 
 
+@pytest.mark.parametrize(("drop", "impossible"), [(-10.0, ""), (-10.0, "rest_curvature"), (70.0, "")])
+def test_what_the_learned_decision_holds_most_probable_is_fitted_whatever_it_promises(
+    drop: float, impossible: str
+) -> None:
+    """Once, and beside the two that promise most."""
+    linear = fits(impossible, air_drag=90.0, gusts=60.0, rest_curvature=drop, steady_forces=0.0)
+    learned = {"none": 0.6, "air_drag": 0.1, "rest_curvature": 0.3}
+    asked = [effect.NAME for effect in promising(BASE, linear, EFFECTS, ERRORS, 2, learned=learned)]
+    assert sorted(asked) == ["air_drag", *(["gusts"] if drop < 60 else []), "rest_curvature"]
+
+
+def test_what_the_base_model_has_is_not_fitted_again_whatever_is_learned() -> None:
+    linear = fits("", air_drag=90.0, gusts=60.0, rest_curvature=-10.0)
+    learned = {"air_drag": 0.9, "gusts": 0.02, "rest_curvature": 0.01}
+    found = promising(BASE, linear, EFFECTS, ERRORS, 1, fitted=("air_drag",), learned=learned)
+    assert [effect.NAME for effect in found] == ["gusts"]
+
+
 @pytest.mark.parametrize(
     ("said", "together"),
     [
