@@ -70,7 +70,16 @@ from toile.diagnosis.stage_store import StageStore
 from toile.diagnosis.stage_times import TIMES_FILE, StageTimes
 from toile.diagnosis.stored_values import ValueStore
 from toile.diagnosis.touched_obstacles import TouchedObstacles
-from toile.diagnosis.verdict import is_clear, of_class, of_two, refuted, seen_in_part, unsettled, verdict_of
+from toile.diagnosis.verdict import (
+    is_clear,
+    of_class,
+    of_two,
+    overtaken,
+    refuted,
+    seen_in_part,
+    unsettled,
+    verdict_of,
+)
 from toile.effects.anchor_slip import AnchorSlip
 from toile.effects.base import Effect
 from toile.effects.catalogue import CATALOGUE, PUSHING, STAGES, STAND_INS, StandInEffect
@@ -289,30 +298,7 @@ def diagnose_session(
     scale = evidence.scale
     alias = session_alias(model.fitting, considered, quadratic, weights.threshold, scale)
     simulated = {effect.NAME: fits[effect.NAME] for effect in chosen}
-    second: SecondEffect | None = None
-    if sum(evidence.chances.get(effect.NAME, 0.0) for effect in moving) >= settings.verdict.named:
-        # Something moves the cloth, whichever it is.
-        progress("what acts beside the most probable effect", 0.89)
-        beside = EffectsBeside(pipeline, stages, motion, base, simulated, moving, outside, learned, weights)
-        second = beside.second(evidence.chances, settings.verdict, 0.89)
-    gains: dict[str, float] = {}
-    if not is_clear(evidence.chances, settings.verdict) and not (second and second.name):
-        progress("clips that may be recorded next", 0.9)
-        gains = expected_gains(
-            model.fitting,
-            base,
-            {**dict.fromkeys(base.names, base), **fits},
-            considered,
-            systems,
-            evidence.motion,
-            of_one_clip,
-            MOTIONS,
-            together.draws,
-            together.seed,
-            workers,
-            boundary=together.boundary,
-        )
-    progress("prediction of the clip that is left out", 0.95)
+    progress("prediction of the clip that is left out", 0.89)
     ahead = max(2, round(together.ahead * problems[-1].scene.fps / 25))
     best = [name for name in evidence.chances if name in simulated][: together.refined]
     left_out = left_out_shrinks(
@@ -327,6 +313,31 @@ def diagnose_session(
         lambda own, fit: model.last_clip_of(own, fit, workers),
         workers,
     )
+    if len(clips) > 1 and next(iter(evidence.chances)) == NONE:
+        evidence = evidence.without(overtaken(left_out.shrinks), weights)
+    second: SecondEffect | None = None
+    if sum(evidence.chances.get(effect.NAME, 0.0) for effect in moving) >= settings.verdict.named:
+        # Something moves the cloth, whichever it is.
+        progress("what acts beside the most probable effect", 0.93)
+        beside = EffectsBeside(pipeline, stages, motion, base, simulated, moving, outside, learned, weights)
+        second = beside.second(evidence.chances, settings.verdict, 0.93)
+    gains: dict[str, float] = {}
+    if not is_clear(evidence.chances, settings.verdict) and not (second and second.name):
+        progress("clips that may be recorded next", 0.95)
+        gains = expected_gains(
+            model.fitting,
+            base,
+            {**dict.fromkeys(base.names, base), **fits},
+            considered,
+            systems,
+            evidence.motion,
+            of_one_clip,
+            MOTIONS,
+            together.draws,
+            together.seed,
+            workers,
+            boundary=together.boundary,
+        )
     progress("answer", 0.99)
     unnamed = _stand_ins(stand_ins, model, fits, outside, evidence, weights)
     found = _Found(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -40,6 +40,7 @@ class SessionEvidence:
         left: errors of the best hypothesis over the usual ones, squared.
         scale: by which misfits are too large for the noise that was found.
         motion: what the motion says before any weight.
+        of_images: log odds, against none, of effects that images show.
     """
 
     findings: dict[str, Finding]
@@ -49,6 +50,20 @@ class SessionEvidence:
     left: float
     scale: float
     motion: MotionEvidence
+    of_images: dict[str, float]
+
+    def without(self, names: Collection[str], weights: SessionWeights) -> SessionEvidence:
+        """The same where what some effects are fitted to says nothing: they have no probability then.
+
+        Nor does it speak for none, which has what an effect explains under the law and the balance of torques
+        does not know of: the law is wrong there as that effect has it.
+
+        Args:
+            names: of effects that move the cloth.
+            weights: see SessionWeights.
+        """
+        logits = _logits(self.motion.without(names), self.of_images, weights)
+        return replace(self, logits=logits, chances={**_chances(logits), **dict.fromkeys(names, 0.0)})
 
 
 def session_evidence(
@@ -104,15 +119,14 @@ def session_evidence(
         name: _of_images(by_name[name], name, of_images, devices)
         for name in (of_images[0] if of_images else {})
     }
-    logits = motion.logits(weights)
-    none = logits[NONE]
+    shown: dict[str, float] = {}
     for name, found in findings.items():
         if name == AnchorSlip.NAME:
             # By refined paths, for which single clips have taught nothing.
-            logits[name] = none + (found.log_evidence - weights.slip_threshold) / weights.slip_temperature
+            shown[name] = (found.log_evidence - weights.slip_threshold) / weights.slip_temperature
         elif name not in fits:
             score = calibration.score(name, found.log_evidence)
-            logits[name] = none + (score - calibration.threshold) / calibration.temperature
+            shown[name] = (score - calibration.threshold) / calibration.temperature
     for name, fit in fits.items():
         if name in STAND_INS:
             continue
@@ -126,10 +140,20 @@ def session_evidence(
             together = weights.outside_spread**2 * np.outer(mean, mean)
             covariance = cause.covariance[:n, :n] + together
             findings[name] = finding(by_name[name], cause.evidence.nats(), mean, covariance)
-    strange = none + float(weights.strangeness * np.log(left / weights.strange))
+    logits = _logits(motion, shown, weights)
+    return SessionEvidence(findings, drops, logits, _chances(logits), left, scale, motion, shown)
+
+
+def _logits(
+    motion: MotionEvidence, of_images: Mapping[str, float], weights: SessionWeights
+) -> dict[str, float]:
+    """Log odds of all hypotheses, see SessionEvidence."""
+    logits = motion.logits(weights)
+    none = logits[NONE]
+    logits |= {name: none + odds for name, odds in of_images.items()}
+    strange = none + float(weights.strangeness * np.log(motion.over_usual / weights.strange))
     logits[UNKNOWN] = float(np.logaddexp(strange, logits.get(UNKNOWN, -np.inf)))
-    logits = motion.with_looks(logits, weights)
-    return SessionEvidence(findings, drops, logits, _chances(logits), left, scale, motion)
+    return motion.with_looks(logits, weights)
 
 
 def promising(

@@ -265,6 +265,12 @@ class MotionEvidence:
                 got=f"{type(error).__name__}: {error}",
             ) from error
 
+    def without(self, names: Collection[str]) -> MotionEvidence:
+        """The same where some effects have not been asked about."""
+        effects = {name: one for name, one in self.effects.items() if name not in names}
+        outside = {name: one for name, one in self.outside.items() if name not in names}
+        return replace(self, effects=effects, outside=outside)
+
     @property
     def left(self) -> float:
         """Squared errors of the best hypothesis over those that were expected of it."""

@@ -197,14 +197,28 @@ def refuted(verdict: Verdict, found: Mapping[str, float], shrinks: Mapping[str, 
         found: probabilities.
         shrinks: of the error on a whole clip that was left out, by effect.
     """
-    own = shrinks.get(verdict.effect)
-    better = [name for name, s in shrinks.items() if s.low > max(0.0, s.best_placebo or 0.0)]
-    if own is None or own.high >= 0 or not better:
+    if verdict.effect not in overtaken(shrinks):
         return verdict
+    better = _foretelling(shrinks)
     candidates = tuple(dict.fromkeys((*verdict.candidates, *better)))
     reason = f"{verdict.effect} has most evidence, but predicts the clip that was left out worse than nothing"
     reason += f"; {', '.join(better)} predicts it better."
     return _ambiguous(verdict, candidates, found, reason)
+
+
+def overtaken(shrinks: Mapping[str, Shrink]) -> tuple[str, ...]:
+    """Effects that predict worse than nothing what another one predicts better, see ``refuted``.
+
+    Args:
+        shrinks: of the error on a whole clip that was left out, by effect.
+    """
+    if not _foretelling(shrinks):
+        return ()
+    return tuple(name for name, shrink in shrinks.items() if shrink.high < 0)
+
+
+def _foretelling(shrinks: Mapping[str, Shrink]) -> list[str]:
+    return [name for name, s in shrinks.items() if s.low > max(0.0, s.best_placebo or 0.0)]
 
 
 def unsettled(verdict: Verdict, found: Mapping[str, float], fitted: Collection[str]) -> Verdict:

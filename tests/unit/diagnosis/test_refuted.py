@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from toile.diagnosis.record import AMBIGUOUS, Shrink, Verdict
-from toile.diagnosis.verdict import refuted
+from toile.diagnosis.verdict import overtaken, refuted
 
 
 def shrink(low: float, high: float, placebo: float | None = 0.03) -> Shrink:
@@ -41,3 +41,10 @@ def test_what_is_not_surely_worse_stays(shrinks: dict[str, Shrink]) -> None:
 
 def test_a_rival_within_the_placebo_does_not_predict_better() -> None:
     assert refuted(NAMED, CHANCES, {"gusts": shrink(-0.16, -0.01), "air_drag": shrink(0.01, 0.05)}) == NAMED
+
+
+def test_only_what_another_one_predicts_better_is_overtaken() -> None:
+    worse, better, level = shrink(-0.16, -0.01), shrink(0.09, 0.21), shrink(-0.1, 0.02)
+    assert overtaken({"gusts": worse, "frame_rate": better, "air_drag": level}) == ("gusts",)
+    assert overtaken({"gusts": worse, "air_drag": level}) == ()
+    assert overtaken({}) == ()

@@ -7,10 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from toile.diagnosis.decision import NONE, UNKNOWN
+from toile.diagnosis.effect_evidence import EffectEvidence
 from toile.diagnosis.findings import Finding
 from toile.diagnosis.joint_fit import JointFit
 from toile.diagnosis.model_errors import ModelErrors
-from toile.diagnosis.session_evidence import _of_images, promising
+from toile.diagnosis.session_evidence import SessionEvidence, _of_images, promising
+from toile.diagnosis.session_weights import MotionEvidence, SessionWeights
 from toile.effects.catalogue import CATALOGUE, STAND_INS
 
 ONCE = 0.01 / 2**0.5
@@ -95,3 +98,31 @@ def test_clips_of_a_device_agree_on_its_error(
     found = _of_images(CATALOGUE["focal_error"](), "focal_error", clips, [device for *_, device in said])
     numbers = (found.log_evidence, found.mean["relative"], found.deviation["relative"])
     assert numbers == pytest.approx(together)
+
+
+def known(nats: float) -> EffectEvidence:
+    """One coefficient, as large as it may be."""
+    return EffectEvidence(nats, (1.0,), (0.0,), 1.0)
+
+
+def test_what_predicts_worse_speaks_for_none_no_more() -> None:
+    """A sealed anisotropy was none: the law explained as much by a density that nothing else knew of."""
+    weights = SessionWeights.load().of_clips(3)
+    motion = MotionEvidence(
+        replace(ERRORS, cost=2000.0, expected=2000.0),
+        {"anisotropic_stiffness": known(288.0), "nonuniform_density": known(300.0)},
+        sizes={"anisotropic_stiffness": 0.029, "nonuniform_density": 0.023},
+        outside={"nonuniform_density": known(19.0)},
+    )
+    shown = {"exposure_drift": -5.0}
+    none = {NONE: 0.92, "anisotropic_stiffness": 0.05, "nonuniform_density": 0.03, UNKNOWN: 0.0}
+    evidence = SessionEvidence({}, {}, {}, none, motion.over_usual, motion.scale, motion, shown)
+    same = evidence.without((), weights)
+    assert max(same.chances, key=lambda name: same.chances[name]) == NONE
+    found = evidence.without(("nonuniform_density",), weights)
+    assert found.chances["anisotropic_stiffness"] > 0.9
+    assert found.chances["nonuniform_density"] == 0.0
+    assert sum(found.chances.values()) == pytest.approx(1.0)
+    # What images show keeps its odds against none.
+    assert found.logits["exposure_drift"] - found.logits[NONE] == pytest.approx(-5.0)
+    assert found.motion is motion
