@@ -53,10 +53,10 @@ class SessionEvidence:
     of_images: dict[str, float]
 
     def without(self, names: Collection[str], weights: SessionWeights) -> SessionEvidence:
-        """The same where what some effects are fitted to says nothing: they have no probability then.
+        """The same without what some effects say, which have no probability then.
 
-        Nor does it speak for none, which has what an effect explains under the law and the balance of torques
-        does not know of: the law is wrong there as that effect has it.
+        Nor does what they say speak for none, which else has what an effect explains under the law and the
+        balance of torques does not know of, see MotionEvidence.odds.
 
         Args:
             names: of effects that move the cloth.
