@@ -377,7 +377,8 @@ def _stand_ins(
     weights: SessionWeights,
 ) -> dict[str, StandIn]:
     """What stands in for causes that the catalogue lacks, the most probable first."""
-    motion, around = evidence.motion, model.fitting.clips[0].around
+    # Odds have the constant of the logits only where the same effects say nothing.
+    motion, around = evidence.motion.without(evidence.silent), model.fitting.clips[0].around
     odds = motion.odds(weights)
     by_name = {effect.NAME: effect for effect in effects if effect.NAME in odds}
     # UNKNOWN is more: what nothing explains, and what the cloth looks like, say nothing of what moves it.

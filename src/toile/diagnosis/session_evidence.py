@@ -41,6 +41,7 @@ class SessionEvidence:
         scale: by which misfits are too large for the noise that was found.
         motion: what the motion says before any weight.
         of_images: log odds, against none, of effects that images show.
+        silent: effects that say nothing, see ``without``.
     """
 
     findings: dict[str, Finding]
@@ -51,6 +52,7 @@ class SessionEvidence:
     scale: float
     motion: MotionEvidence
     of_images: dict[str, float]
+    silent: tuple[str, ...] = ()
 
     def without(self, names: Collection[str], weights: SessionWeights) -> SessionEvidence:
         """The same without what some effects say, which have no probability then.
@@ -63,7 +65,8 @@ class SessionEvidence:
             weights: see SessionWeights.
         """
         logits = _logits(self.motion.without(names), self.of_images, weights)
-        return replace(self, logits=logits, chances={**_chances(logits), **dict.fromkeys(names, 0.0)})
+        chances = {**_chances(logits), **dict.fromkeys(names, 0.0)}
+        return replace(self, logits=logits, chances=chances, silent=tuple(names))
 
 
 def session_evidence(

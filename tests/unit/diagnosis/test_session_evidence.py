@@ -126,3 +126,7 @@ def test_what_predicts_worse_speaks_for_none_no_more() -> None:
     # What images show keeps its odds against none.
     assert found.logits["exposure_drift"] - found.logits[NONE] == pytest.approx(-5.0)
     assert found.motion is motion
+    # Odds of the motion without it are the logits, by the same constant.
+    odds = motion.without(found.silent).odds(weights)
+    assert odds["anisotropic_stiffness"] == found.logits["anisotropic_stiffness"]
+    assert odds["anisotropic_stiffness"] != pytest.approx(motion.odds(weights)["anisotropic_stiffness"])
