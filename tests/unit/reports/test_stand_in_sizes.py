@@ -18,6 +18,7 @@ from toile.diagnosis.model_errors import ModelErrors
 from toile.diagnosis.outside_causes import OutsideCauses
 from toile.diagnosis.record import DIAGNOSIS_FILE, GapReport, SessionAnswer
 from toile.diagnosis.session_diagnosis import _stand_ins
+from toile.diagnosis.session_evidence import SessionEvidence
 from toile.diagnosis.session_weights import MotionEvidence, SessionWeights
 
 MakeReport = Callable[..., GapReport]
@@ -34,6 +35,11 @@ class Drift:
         return SimpleNamespace(described=lambda around: {"first": float(values[0])})
 
 
+def evidence_of(motion: MotionEvidence, logits: dict[str, float]) -> SessionEvidence:
+    """What a session's clips say where nothing but the motion speaks."""
+    return SessionEvidence({}, {}, logits, {}, left=0.0, scale=1.0, motion=motion, of_images={})
+
+
 def test_looks_of_the_cloth_say_nothing_of_what_moves_it() -> None:
     """Where nothing speaks for a stand-in, a cover does not make it likely."""
     weights = SessionWeights()
@@ -44,11 +50,30 @@ def test_looks_of_the_cloth_say_nothing_of_what_moves_it() -> None:
     chances = []
     for covered in (None, 0.02, 0.5):
         logits = replace(motion, covered=covered).with_looks(motion.logits(weights), weights)
-        evidence: Any = SimpleNamespace(motion=motion, logits=logits)
+        evidence = evidence_of(motion, logits)
         found = _stand_ins([cast(Any, Drift())], model, fits, OutsideCauses({}), evidence, weights)
         chances.append(found[NAME].probability)
     assert 0.0 < chances[2] < chances[1] < chances[0] < 0.01
     assert chances[0] == pytest.approx(np.exp(motion.logits(weights)[UNKNOWN]), rel=0.01)
+
+
+def test_what_an_effect_no_more_says_leaves_a_stand_in_its_share() -> None:
+    """Log odds have another constant then: by the old one its probability was nearly nothing."""
+    weights = SessionWeights.load().of_clips(3)
+    drift = EffectEvidence.of(200.0, np.array([0.3, 0.1]), 0.01 * np.eye(2), 3.0)
+    density = EffectEvidence.of(190.0, np.array([0.3]), 0.01 * np.eye(1), 3.0)
+    motion = MotionEvidence(
+        ModelErrors(100.0, 120.0, 0.001),
+        {NAME: drift, "nonuniform_density": density},
+        sizes={NAME: 0.04, "nonuniform_density": 0.04},
+    )
+    model: Any = SimpleNamespace(fitting=SimpleNamespace(clips=[SimpleNamespace(around=None)]))
+    fits: Any = {NAME: SimpleNamespace(own=np.array([0.3, 0.1]))}
+    evidence = evidence_of(motion, motion.logits(weights)).without(("nonuniform_density",), weights)
+    found = _stand_ins([cast(Any, Drift())], model, fits, OutsideCauses({}), evidence, weights)
+    # Nothing else that is unknown says anything: what is unknown is the drift.
+    assert found[NAME].probability == pytest.approx(evidence.chances[UNKNOWN], abs=1e-3)
+    assert found[NAME].probability > 0.5
 
 
 @pytest.mark.parametrize(("size", "moves"), [(0.04, 0.04), (np.inf, None)])
@@ -58,7 +83,7 @@ def test_an_infinite_size_is_not_known(
     own = np.array([0.3, 0.1])
     drift = EffectEvidence.of(200.0, own, 0.01 * np.eye(2), 3.0)
     motion = MotionEvidence(ModelErrors(100.0, 120.0, 0.001), {NAME: drift}, sizes={NAME: size})
-    evidence: Any = SimpleNamespace(motion=motion, logits=motion.logits(SessionWeights()))
+    evidence = evidence_of(motion, motion.logits(SessionWeights()))
     model: Any = SimpleNamespace(fitting=SimpleNamespace(clips=[SimpleNamespace(around=None)]))
     fits: Any = {NAME: SimpleNamespace(own=own)}
     found = _stand_ins([cast(Any, Drift())], model, fits, OutsideCauses({}), evidence, SessionWeights())
