@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from toile.diagnosis.base_fit import fitted_discrepancy
@@ -13,7 +14,7 @@ from toile.diagnosis.continuity import Discrepancy
 from toile.diagnosis.evidence import sign_penalty
 from toile.diagnosis.mechanics import Mechanics
 from toile.diagnosis.record import Estimate
-from toile.effects.base import CameraEffect, Effect
+from toile.effects.base import Amount, CameraEffect, Effect, Surroundings
 
 Array = NDArray[np.float64]
 
@@ -26,12 +27,14 @@ class Finding:
         log_evidence: against the base model.
         mean, deviation: of its coefficients in their own units, by name.
         vertex: of the pinned ones, that a slip is of, from 0.
+        covariance: of the coefficients in their own units (n, n); None where only deviations are known.
     """
 
     log_evidence: float
     mean: dict[str, float]
     deviation: dict[str, float]
     vertex: int = 0
+    covariance: Array | None = field(default=None, compare=False, repr=False)
 
 
 def finding(effect: Effect, log_evidence: float, mean: Array, covariance: Array) -> Finding:
@@ -43,6 +46,7 @@ def finding(effect: Effect, log_evidence: float, mean: Array, covariance: Array)
         float(log_evidence),
         dict(zip(names, (mean * scales).tolist(), strict=True)),
         dict(zip(names, deviation.tolist(), strict=True)),
+        covariance=scales[:, None] * covariance * scales,
     )
 
 
@@ -127,3 +131,50 @@ def estimates(found: Finding, effect: Effect, widened: float = WIDENED) -> dict[
             parameter.unit,
         )
     return out
+
+
+_DRAWS = 500
+"""Of an effect's coefficients, for the intervals of what they come to."""
+
+
+def amounts(
+    found: Finding,
+    effect: Effect,
+    around: Surroundings,
+    material: Mapping[str, float],
+    widened: float = WIDENED,
+) -> dict[str, Estimate]:
+    """What the coefficients come to, with 90 % intervals; {} where they say so themselves.
+
+    Args:
+        found: of the effect.
+        effect: see Effect.amounts.
+        around: the clip whose coefficients they are.
+        material: of the cloth, by name.
+        widened: see estimates.
+    """
+    bounds = [np.array([getattr(p, end) for p in effect.parameters]) for end in ("low", "high")]
+
+    def of(values: Array) -> tuple[Amount, ...]:
+        acting = effect.with_values(torch.from_numpy(np.clip(values, *bounds)))
+        return acting.amounts(around, material)
+
+    mean = np.array([found.mean[parameter.name] for parameter in effect.parameters])
+    best = of(mean)
+    if not best:
+        return {}
+    covariance = found.covariance
+    if covariance is None:
+        covariance = np.diag([found.deviation[parameter.name] ** 2 for parameter in effect.parameters])
+    # The same draws every time: an answer made twice is the same.
+    draws = np.random.default_rng(0).multivariate_normal(mean, widened**2 * covariance, _DRAWS, method="eigh")
+    drawn = np.array([[amount.value for amount in of(values)] for values in draws])
+    at_best = np.array([amount.value for amount in best])
+    low, middle, high = np.quantile(drawn, (0.05, 0.5, 0.95), axis=0)
+    # The largest of a field grows with every error of it, so what is drawn lies beyond the estimate.
+    low, high = low + at_best - middle, high + at_best - middle
+    low = np.where(drawn.min(0) >= 0, np.maximum(low, 0.0), low)
+    return {
+        amount.what: Estimate(amount.value, float(a), float(b), amount.unit)
+        for amount, a, b in zip(best, low, high, strict=True)
+    }

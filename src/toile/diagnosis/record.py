@@ -11,7 +11,7 @@ Keys of the file:
   file), ``regimes`` {name: score}
 - ``effects``: [{``name``, ``stage``, ``probability``, ``parameters`` {name: {``estimate``, ``low``, ``high``,
   ``unit``}}, ``shrink`` {``metric``, ``held_out``, ``base``, ``with_effect``, ``estimate``, ``low``,
-  ``high``, ``best_placebo``}}], most probable first
+  ``high``, ``best_placebo``}, ``amounts`` as ``parameters``}], most probable first
 - ``alias``: ``names``, ``matrix``, ``detection_limits`` {name: number}
 - ``protocol``: ``seed``, ``frames_used``, ``frames_held_out``, ``version``, ``naive``
 - ``calibration``: ``calibrated``, ``file``, ``settings``, ``made_for``, ``differences`` [text]
@@ -123,6 +123,7 @@ class EffectReport:
         probability: that this effect is what the model lacks.
         parameters: estimates by name.
         shrink: None where the candidate was not refitted.
+        amounts: what the parameters come to, by what it is, where they do not say so themselves.
     """
 
     name: str
@@ -130,6 +131,7 @@ class EffectReport:
     probability: Fraction
     parameters: dict[str, Annotated[Estimate, AfterValidator(_in_order)]] = field(default_factory=dict)
     shrink: Annotated[Shrink, AfterValidator(_in_order)] | None = None
+    amounts: dict[str, Annotated[Estimate, AfterValidator(_in_order)]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -418,6 +420,7 @@ _PARTS = {
     "where": Where,
     "effects": EffectReport,
     "parameters": Estimate,
+    "amounts": Estimate,
     "shrink": Shrink,
     "alias": Alias,
     "protocol": Protocol,

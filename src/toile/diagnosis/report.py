@@ -8,7 +8,7 @@ from toile.diagnosis.aliases import alias_of
 from toile.diagnosis.answer import Weighed
 from toile.diagnosis.arrays import VERTICES_FILE
 from toile.diagnosis.decision import Calibration
-from toile.diagnosis.findings import estimates, naive_answer
+from toile.diagnosis.findings import amounts, estimates, naive_answer
 from toile.diagnosis.gap_maps import stage_shares
 from toile.diagnosis.problem import DiagnosisProblem
 from toile.diagnosis.record import CalibrationUse, EffectReport, GapReport, Protocol, Where
@@ -46,6 +46,8 @@ def gap_report(
     )
     by_name = {effect.NAME: effect for effect in problem.effects}
     converged = problem.converged_mechanics(found.tracked, found.base, found.converged)
+    names = converged.shooting.simulator.cloth.energies.parameters.names
+    material = dict(zip(names, converged.fit.base.material.tolist(), strict=True))
     return GapReport(
         until(verdict, known) if known < n_frames else verdict,
         Where(stage_shares(judged.evidence, calibration, numerics), maps.frames, VERTICES_FILE, maps.regimes),
@@ -56,6 +58,7 @@ def gap_report(
                 judged.chances[name],
                 estimates(judged.findings[name], by_name[name], settings.widened),
                 shrinks.get(name),
+                amounts(judged.findings[name], by_name[name], converged.around, material, settings.widened),
             )
             for name in judged.ranked
         ),

@@ -21,11 +21,11 @@ from toile.diagnosis.effect_evidence import EffectEvidence
 from toile.diagnosis.effect_map import effect_map
 from toile.diagnosis.effect_sensitivities import FORCES
 from toile.diagnosis.effect_size import Displacement, Displacements
-from toile.diagnosis.findings import estimates, finding
+from toile.diagnosis.findings import amounts, estimates, finding
 from toile.diagnosis.fingerprint import fingerprint
 from toile.diagnosis.gap_maps import stage_chances
 from toile.diagnosis.holder_slips import which_slips, with_slips
-from toile.diagnosis.joint_fit import JointFit
+from toile.diagnosis.joint_fit import JointFit, JointFitting
 from toile.diagnosis.learned.decision import WEIGHTS, LearnedDecision
 from toile.diagnosis.learned.features import clip_features
 from toile.diagnosis.left_out import LeftOut, left_out_shrinks
@@ -391,7 +391,9 @@ def _stand_ins(
             mean = outside.causes[name].coefficients
         acting = effect.with_values(effect.scales * torch.from_numpy(mean[: len(effect.scales)].copy()))
         chance = float(np.exp(odds[name] - every))
-        found[name] = StandIn(chance, size if np.isfinite(size) else None, acting.described(around))
+        amounts = acting.amounts(around, _material(model.fitting, fits[name]))
+        said = {f"{amount.what} [{amount.unit}]": amount.value for amount in amounts}
+        found[name] = StandIn(chance, size if np.isfinite(size) else None, said)
     return found
 
 
@@ -452,7 +454,7 @@ def _report(
     folder: Path,
 ) -> GapReport:
     evidence, by_name = found.evidence, {effect.NAME: effect for effect in effects}
-    findings = dict(evidence.findings)
+    findings, fitting = dict(evidence.findings), found.model.fitting
     distances = _distances(found)
     _write(folder / VERTICES_FILE, np.concatenate(distances).mean(0))
     _write(folder / FRAMES_FILE, np.concatenate(distances).astype(np.float32))
@@ -523,6 +525,13 @@ def _report(
                 chance,
                 estimates(findings[name], by_name[name], settings.widened),
                 found.left_out.shrinks.get(name),
+                amounts(
+                    findings[name],
+                    by_name[name],
+                    fitting.clips[0].around,
+                    _material(fitting, found.fits.get(name, found.base)),
+                    settings.widened,
+                ),
             )
             for name, chance in evidence.chances.items()
             if name in findings
@@ -541,7 +550,7 @@ def _report(
             tuple(clip.n_frames for clip in found.clips),
             dict(evidence.chances),
             tuple(classes),
-            _material(found),
+            _material(fitting, found.base),
             evidence.left,
             following,
             dict(gains),
@@ -592,10 +601,9 @@ def _obstacles(found: _Found, session: Session) -> dict[str, dict[str, tuple[flo
     }
 
 
-def _material(found: _Found) -> dict[str, float]:
-    """Material of the base model by name, SI."""
-    fitting = found.model.fitting
-    values = fitting.start * np.exp(found.base.values[: len(fitting.start)])
+def _material(fitting: JointFitting, fit: JointFit) -> dict[str, float]:
+    """Material of a hypothesis by name, SI."""
+    values = fitting.start * np.exp(fit.values[: len(fitting.start)])
     names = fitting.clips[0].shooting.simulator.cloth.energies.parameters.names
     return dict(zip(names, map(float, values), strict=True))
 

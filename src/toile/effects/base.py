@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
-from typing import ClassVar, Self
+from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 import torch
@@ -62,6 +62,20 @@ class Parameter:
     high: float
     scale: float
     doc: str
+
+
+class Amount(NamedTuple):
+    """What the values of an effect come to, as one would measure it at the cloth.
+
+    Attributes:
+        what: in words.
+        value: in the unit.
+        unit: "1" for pure numbers.
+    """
+
+    what: str
+    value: float
+    unit: str
 
 
 class Effect(ABC):
@@ -170,6 +184,15 @@ class Effect(ABC):
             motion: of the cloth (F, N, 3) [m].
         """
         return None
+
+    def amounts(self, around: Surroundings, material: Mapping[str, float]) -> tuple[Amount, ...]:
+        """What the values come to; () where they say so themselves, as most do.
+
+        Args:
+            around: the clip.
+            material: of the cloth, by name.
+        """
+        return ()
 
     def value(self, name: str) -> Tensor:
         """One parameter, ()."""

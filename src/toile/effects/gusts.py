@@ -10,7 +10,7 @@ from typing import ClassVar, Self
 import torch
 from torch import Tensor
 
-from toile.effects.base import ForceEffect, Parameter, Scope, Stage, Surroundings
+from toile.effects.base import Amount, ForceEffect, Parameter, Scope, Stage, Surroundings
 from toile.errors import InputError
 from toile.geometry.horizontal import horizontal_axes
 from toile.limits import Count
@@ -89,6 +89,11 @@ class Gusts(ForceEffect):
         other = copy.copy(self)
         other._parameters = _parameters(n_modes)
         return other.with_values(values.reshape(-1))
+
+    def amounts(self, around: Surroundings, material: Mapping[str, float]) -> tuple[Amount, ...]:
+        """See Effect: the strongest that blows at a frame, beside the clip's wind."""
+        strongest = self.acceleration(around.frame_times(), around).norm(dim=-1).max()
+        return (Amount("strongest gust", float(strongest), "m/s²"),)
 
     def acceleration(self, times: Tensor, around: Surroundings) -> Tensor:
         """See ForceEffect."""

@@ -10,7 +10,7 @@ from typing import ClassVar, Self
 import torch
 from torch import Tensor
 
-from toile.effects.base import Effect, Parameter, Surroundings
+from toile.effects.base import Amount, Effect, Parameter, Surroundings
 from toile.errors import InputError
 from toile.limits import Count
 from toile.physics.cloth import Cloth
@@ -18,6 +18,9 @@ from toile.physics.grid_lines import GridLines
 
 # Half waves along grid axis 0 and 1. All have zero mean over the area.
 MODES = ((1, 0), (0, 1), (1, 1), (2, 0), (0, 2))
+
+_ENDS = (0.05, 0.95)
+"""Shares of the cloth up to which a field is low, and from which on it is high."""
 
 IN_DETAIL = 3
 """Half waves along an axis that resolve a third of the cloth: a print, a wet spot, a worn place."""
@@ -73,6 +76,8 @@ class SmoothField(Effect):
 
     ALONG_EACH: ClassVar[tuple[float, float, float, str]]
     """Lowest and highest amplitude, its prior deviation, and what it is an amplitude of."""
+    ENDS: ClassVar[tuple[str, str]]
+    """What the places are with the lowest and with the highest values."""
 
     def __init__(self, values: Mapping[str, float] | None = None, half_waves: Count | None = None) -> None:
         # Names of modes have one digit for each axis.
@@ -106,6 +111,14 @@ class SmoothField(Effect):
         """See Effect: by how much the field differs from that of most of the cloth."""
         field = self.field(around.cloth)
         return (field - field.median()).abs()
+
+    def amounts(self, around: Surroundings, material: Mapping[str, float]) -> tuple[Amount, ...]:
+        """See Effect: the twentieths of the cloth with the lowest and the highest values, against usual."""
+        ends = torch.tensor(_ENDS, dtype=torch.float64)
+        changes = 100 * torch.expm1(torch.quantile(self.field(around.cloth), ends))
+        return tuple(
+            Amount(what, float(change), "%") for what, change in zip(self.ENDS, changes, strict=True)
+        )
 
     def field(self, cloth: Cloth) -> Tensor:
         """The field at the vertices (N,)."""

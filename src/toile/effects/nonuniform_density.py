@@ -20,6 +20,7 @@ class NonuniformDensity(SmoothField, MassEffect):
     NAME: ClassVar[str] = "nonuniform_density"
     STAGE: ClassVar[Stage] = Stage.MECHANICS
     ALONG_EACH: ClassVar[tuple[float, float, float, str]] = (-1.5, 1.5, 0.3, "logarithm of the density")
+    ENDS: ClassVar[tuple[str, str]] = ("lightest places", "heaviest places")
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = mode_parameters(*ALONG_EACH)
     SOURCE: ClassVar[str] = (
         "Ghanem and Spanos, Stochastic Finite Elements: A Spectral Approach, 1991 (expansion of material "

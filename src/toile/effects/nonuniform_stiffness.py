@@ -19,6 +19,7 @@ class NonuniformStiffness(SmoothField, ElementEffect):
     STAGE: ClassVar[Stage] = Stage.MECHANICS
     past_reach: ClassVar[int] = 0
     ALONG_EACH: ClassVar[tuple[float, float, float, str]] = (-3.0, 3.0, 0.5, "logarithm of stiffness")
+    ENDS: ClassVar[tuple[str, str]] = ("softest places", "stiffest places")
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = mode_parameters(*ALONG_EACH)
     SOURCE: ClassVar[str] = (
         "Ghanem and Spanos, Stochastic Finite Elements: A Spectral Approach, 1991 (expansion of material "

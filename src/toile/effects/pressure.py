@@ -9,7 +9,7 @@ from typing import ClassVar, Self
 import torch
 from torch import Tensor
 
-from toile.effects.base import Parameter, Scope, Stage, Surroundings, VertexEffect
+from toile.effects.base import Amount, Parameter, Scope, Stage, Surroundings, VertexEffect
 from toile.effects.gusts import USUAL_MODES, half_waves
 from toile.physics.step_terms import StepContext
 
@@ -60,17 +60,17 @@ class Pressure(VertexEffect):
         other._parameters = _parameters(n_modes)
         return other.with_values(values)
 
-    def described(self, around: Surroundings) -> dict[str, float]:
-        """Mean over the clip, and deviation in time; along the normals, see StepContext.normals.
+    def amounts(self, around: Surroundings, material: Mapping[str, float]) -> tuple[Amount, ...]:
+        """See Effect: mean over the clip, and deviation in time; along the normals, see StepContext.normals.
 
         Per mass of an area, as images do not say what a cloth weighs. The mean is hardly told apart from a
         steady wind.
         """
         over_time = self._waves(around.frame_times()) @ self.values
-        return {
-            "mean [m/s²]": float(over_time.mean()),
-            "deviation in time [m/s²]": float(over_time.std(correction=0)),
-        }
+        return (
+            Amount("mean", float(over_time.mean()), "m/s²"),
+            Amount("deviation in time", float(over_time.std(correction=0)), "m/s²"),
+        )
 
     def energy(self, positions: Tensor, now: StepContext) -> Tensor:
         """See VertexTerm."""

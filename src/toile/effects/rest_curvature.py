@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from toile.effects.base import Parameter, Stage, Surroundings, VertexEffect
+from toile.effects.base import Amount, Parameter, Stage, Surroundings, VertexEffect
 from toile.errors import InputError
 from toile.limits import CountOrZero
 from toile.physics.cloth import Cloth
@@ -121,6 +121,12 @@ class RestCurvature(VertexEffect):
             return None
         of_rows, of_columns = _along(self.values, *around.cloth.lines.places())
         return torch.hypot(of_rows[:, None], of_columns[None]).reshape(-1)
+
+    def amounts(self, around: Surroundings, material: Mapping[str, float]) -> tuple[Amount, ...]:
+        """See Effect: κ where it is largest."""
+        moments = torch.cat(_along(self.values, *around.cloth.lines.places()))
+        tightest = float(moments.abs().max()) / material["bending"]
+        return (Amount("tightest natural curvature", tightest, "1/m"),)
 
     def energy(self, positions: Tensor, now: StepContext) -> Tensor:
         """See VertexTerm."""

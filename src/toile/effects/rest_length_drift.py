@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Mapping
 from typing import ClassVar, Self
 
 import torch
 from torch import Tensor
 
-from toile.effects.base import ElementEffect, Parameter, Scope, Stage, Surroundings
+from toile.effects.base import Amount, ElementEffect, Parameter, Scope, Stage, Surroundings
 from toile.effects.modes import cosine_modes
 from toile.errors import InputError
 from toile.physics.cloth import Cloth
@@ -59,10 +60,10 @@ class RestLengthDrift(ElementEffect):
         other.duration = duration
         return other
 
-    def described(self, around: Surroundings) -> dict[str, float]:
-        """By how much sides have changed after T, the mean over the cloth."""
+    def amounts(self, around: Surroundings, material: Mapping[str, float]) -> tuple[Amount, ...]:
+        """See Effect: by how much sides have changed after T, the mean over the cloth."""
         change = torch.expm1(self._fields(around.cloth, self.duration).mean(0))
-        return {f"axis {axis} [%]": 100 * float(change[axis]) for axis in (0, 1)}
+        return tuple(Amount(f"axis {axis}", 100 * float(change[axis]), "%") for axis in (0, 1))
 
     def elements(self, elements: Elements, now: StepContext) -> Elements:
         """See ElementTerm."""

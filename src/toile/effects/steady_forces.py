@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import lru_cache
 from typing import ClassVar
 
 import torch
 from torch import Tensor
 
-from toile.effects.base import ForceEffect, Parameter, Scope, Stage, Surroundings
+from toile.effects.base import Amount, ForceEffect, Parameter, Scope, Stage, Surroundings
 from toile.effects.modes import cosine_modes, modes_up_to
 
 HALF_WAVES = 3
@@ -48,10 +49,10 @@ class SteadyForces(ForceEffect):
         "Society B 63(3), 2001 (a discrepancy of its own, here a force)"
     )
 
-    def described(self, around: Surroundings) -> dict[str, float]:
-        """Root mean square of the field over the cloth."""
+    def amounts(self, around: Surroundings, material: Mapping[str, float]) -> tuple[Amount, ...]:
+        """See Effect: root mean square of the field over the cloth."""
         field = self.acceleration(torch.zeros(1, dtype=torch.float64), around)[0]
-        return {"root mean square [m/s²]": float(field.square().sum(-1).mean().sqrt())}
+        return (Amount("root mean square", float(field.square().sum(-1).mean().sqrt()), "m/s²"),)
 
     def acceleration(self, times: Tensor, around: Surroundings) -> Tensor:
         """See ForceEffect."""

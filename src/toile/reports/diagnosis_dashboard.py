@@ -172,7 +172,8 @@ def _colours(stops: tuple[tuple[float, str], ...]) -> LinearSegmentedColormap:
 
 
 def _estimates(effect: EffectReport) -> str:
-    return "; ".join(f"{name} {_text(e)}" for name, e in effect.parameters.items())
+    # Dozens of modes fill a table and say nothing where it is known what they come to.
+    return "; ".join(f"{name} {_text(e)}" for name, e in (effect.amounts or effect.parameters).items())
 
 
 def _text(e: Estimate) -> str:

@@ -114,6 +114,18 @@ def test_names_both_effects_of_a_pair(report: GapReport) -> None:
     assert len(re.findall(r'<li class="here">', body(pair))) == 2
 
 
+def test_what_modes_come_to_stands_before_them(report: GapReport) -> None:
+    """An amplitude of a mode says nothing to who holds the cloth in his hands."""
+    modes = {f"mode_{k}0": Estimate(-0.7, -0.9, -0.5, "1") for k in range(1, 8)}
+    heaviest = {"heaviest places": Estimate(90.0, 60.0, 130.0, "%")}
+    drag = dataclasses.replace(report.effects[0], parameters=modes, amounts=heaviest)
+    found = dataclasses.replace(report, effects=(drag, *report.effects[1:]))
+    assert "+90 % heaviest places, +60 to +130" in words(header(found))
+    assert "mode" not in words(header(found))
+    ranking = words(body(found))
+    assert ranking.index("heaviest places +90 % +60 to +130") < ranking.index("mode 10")
+
+
 def test_of_many_coefficients_the_surest_are_shown(report: GapReport) -> None:
     """Gusts have dozens, and the first of them may be the least of what blows."""
     drag = report.effects[0]

@@ -20,9 +20,15 @@ from toile.diagnosis.record import DIAGNOSIS_FILE, GapReport, SessionAnswer
 from toile.diagnosis.session_diagnosis import _stand_ins
 from toile.diagnosis.session_evidence import SessionEvidence
 from toile.diagnosis.session_weights import MotionEvidence, SessionWeights
+from toile.effects.base import Amount
 
 MakeReport = Callable[..., GapReport]
 NAME = "rest_length_drift"
+
+ENERGIES = SimpleNamespace(parameters=SimpleNamespace(names=("bending",)))
+SIMULATOR = SimpleNamespace(cloth=SimpleNamespace(energies=ENERGIES))
+CLIP = SimpleNamespace(around=None, shooting=SimpleNamespace(simulator=SIMULATOR))
+MODEL: Any = SimpleNamespace(fitting=SimpleNamespace(clips=[CLIP], start=np.array([2e-4])))
 
 
 class Drift:
@@ -32,7 +38,7 @@ class Drift:
     scales = torch.ones(2, dtype=torch.float64)
 
     def with_values(self, values: torch.Tensor) -> Any:
-        return SimpleNamespace(described=lambda around: {"first": float(values[0])})
+        return SimpleNamespace(amounts=lambda around, material: (Amount("first", float(values[0]), "m"),))
 
 
 def evidence_of(motion: MotionEvidence, logits: dict[str, float]) -> SessionEvidence:
@@ -45,13 +51,12 @@ def test_looks_of_the_cloth_say_nothing_of_what_moves_it() -> None:
     weights = SessionWeights()
     drift = EffectEvidence.of(0.0, np.array([0.3, 0.1]), 0.01 * np.eye(2), 3.0)
     motion = MotionEvidence(ModelErrors(100.0, 120.0, 0.001), {NAME: drift}, sizes={NAME: 0.04})
-    model: Any = SimpleNamespace(fitting=SimpleNamespace(clips=[SimpleNamespace(around=None)]))
-    fits: Any = {NAME: SimpleNamespace(own=np.array([0.3, 0.1]))}
+    fits: Any = {NAME: SimpleNamespace(own=np.array([0.3, 0.1]), values=np.zeros(1))}
     chances = []
     for covered in (None, 0.02, 0.5):
         logits = replace(motion, covered=covered).with_looks(motion.logits(weights), weights)
         evidence = evidence_of(motion, logits)
-        found = _stand_ins([cast(Any, Drift())], model, fits, OutsideCauses({}), evidence, weights)
+        found = _stand_ins([cast(Any, Drift())], MODEL, fits, OutsideCauses({}), evidence, weights)
         chances.append(found[NAME].probability)
     assert 0.0 < chances[2] < chances[1] < chances[0] < 0.01
     assert chances[0] == pytest.approx(np.exp(motion.logits(weights)[UNKNOWN]), rel=0.01)
@@ -67,10 +72,9 @@ def test_what_an_effect_no_more_says_leaves_a_stand_in_its_share() -> None:
         {NAME: drift, "nonuniform_density": density},
         sizes={NAME: 0.04, "nonuniform_density": 0.04},
     )
-    model: Any = SimpleNamespace(fitting=SimpleNamespace(clips=[SimpleNamespace(around=None)]))
-    fits: Any = {NAME: SimpleNamespace(own=np.array([0.3, 0.1]))}
+    fits: Any = {NAME: SimpleNamespace(own=np.array([0.3, 0.1]), values=np.zeros(1))}
     evidence = evidence_of(motion, motion.logits(weights)).without(("nonuniform_density",), weights)
-    found = _stand_ins([cast(Any, Drift())], model, fits, OutsideCauses({}), evidence, weights)
+    found = _stand_ins([cast(Any, Drift())], MODEL, fits, OutsideCauses({}), evidence, weights)
     # Nothing else that is unknown says anything: what is unknown is the drift.
     assert found[NAME].probability == pytest.approx(evidence.chances[UNKNOWN], abs=1e-3)
     assert found[NAME].probability > 0.5
@@ -84,11 +88,10 @@ def test_an_infinite_size_is_not_known(
     drift = EffectEvidence.of(200.0, own, 0.01 * np.eye(2), 3.0)
     motion = MotionEvidence(ModelErrors(100.0, 120.0, 0.001), {NAME: drift}, sizes={NAME: size})
     evidence = evidence_of(motion, motion.logits(SessionWeights()))
-    model: Any = SimpleNamespace(fitting=SimpleNamespace(clips=[SimpleNamespace(around=None)]))
-    fits: Any = {NAME: SimpleNamespace(own=own)}
-    found = _stand_ins([cast(Any, Drift())], model, fits, OutsideCauses({}), evidence, SessionWeights())
+    fits: Any = {NAME: SimpleNamespace(own=own, values=np.zeros(1))}
+    found = _stand_ins([cast(Any, Drift())], MODEL, fits, OutsideCauses({}), evidence, SessionWeights())
     assert found[NAME].moves == moves
-    assert found[NAME].found == {"first": pytest.approx(0.3)}
+    assert found[NAME].found == {"first [m]": pytest.approx(0.3)}
     session = SessionAnswer(("a",), (5,), {}, (), {}, 1.0, stand_ins=found)
     path = replace(made_up_diagnosis(), session=session).write(tmp_path / DIAGNOSIS_FILE)
     read = GapReport.read(path).session

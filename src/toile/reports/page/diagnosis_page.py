@@ -91,9 +91,10 @@ class DiagnosisPage:
             others=[e for e in effects if e not in (shown or effects[:3])],
             without_effect=self._without_effect(),
             likely=LIKELY,
-            estimates={e.name: _telling(e.parameters) for e in effects},
+            estimates={e.name: [*e.amounts.items(), *_telling(e.parameters)] for e in effects},
             max_estimates=MAX_ESTIMATES,
             bounds=_bounds,
+            in_unit=_in_unit,
             wording=diagnosis_wording,
             held_out=held_out(effects, self._chosen),
             **self._on_the_cloth(),
@@ -140,9 +141,9 @@ class DiagnosisPage:
             if found.shrink is not None:
                 claim = "" if beats_placebo(found.shrink) else ", no more than a placebo"
                 cards.append((change(found.shrink.estimate), "", f"error on {found.shrink.held_out}{claim}"))
-            for name, e in _telling(found.parameters)[:1]:
+            for name, e in found.amounts.items() or _telling(found.parameters)[:1]:
                 unit = "" if e.unit == "1" else e.unit
-                cards.append((number(e.estimate), unit, Markup("{}, {}").format(name, _bounds(e))))
+                cards.append((_in_unit(e, e.estimate), unit, Markup("{}, {}").format(name, _bounds(e))))
         if self.arrays.vertices is not None:
             mean = 1e3 * float(self.arrays.vertices.mean())
             what = "mean distance of the base model, left to itself for a few frames, from the tracked cloth"
@@ -292,8 +293,13 @@ def _bounds(estimate: Estimate) -> Markup:
     if estimate.low == estimate.high:
         # Pinned there by the sign that it must have: no interval was estimated.
         return Markup("at its bound")
-    low, high = number(estimate.low), number(estimate.high)
+    low, high = (_in_unit(estimate, end) for end in (estimate.low, estimate.high))
     return low + " to " + high if low != high else "± " + number(0.5 * (estimate.high - estimate.low))
+
+
+def _in_unit(estimate: Estimate, value: float) -> Markup:
+    """An estimate or an end of its interval as HTML; percentages are changes, and have a sign."""
+    return Markup(f"{value:+.0f}".replace("-", "−")) if estimate.unit == "%" else number(value)
 
 
 def _around_percentage(text: str) -> tuple[str, str, str]:
