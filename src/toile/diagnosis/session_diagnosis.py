@@ -9,6 +9,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
+import psutil
 import torch
 from numpy.typing import NDArray
 
@@ -49,7 +50,7 @@ from toile.diagnosis.record import (
 from toile.diagnosis.results import KINDS
 from toile.diagnosis.second_effect import EffectsBeside, SecondEffect
 from toile.diagnosis.session_alias import SessionAlias, session_alias
-from toile.diagnosis.session_checks import moved_holders, stopped_short, unknown_motions
+from toile.diagnosis.session_checks import moved_holders, short_of_memory, stopped_short, unknown_motions
 from toile.diagnosis.session_evidence import (
     SessionEvidence,
     promising,
@@ -189,6 +190,10 @@ def diagnose_session(
     names = list(dict.fromkeys(clip.device for clip in session.clips))
     devices = [names.index(clip.device) for clip in session.clips]
     motions = [clip.motion for clip in session.clips]
+    # Of no interest once there is an answer, so the page does not say it.
+    n_frames = sum(problem.scene.n_frames for problem in problems)
+    n_vertices = int(np.prod([min(together.side, side) for side in problems[0].scene.grid]))
+    _said(short_of_memory(n_frames, n_vertices, psutil.virtual_memory().available / 1e9))
     remarkable = _said(unknown_motions(session))
     clips = seen_clips(problems, devices, pipeline, progress, motions)
 

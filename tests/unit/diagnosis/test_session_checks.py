@@ -14,6 +14,7 @@ from toile.diagnosis.joint_fit import JointFit
 from toile.diagnosis.session_checks import (
     holders_away,
     moved_holders,
+    short_of_memory,
     stand_still,
     stopped_short,
     unknown_motions,
@@ -82,3 +83,12 @@ def test_a_motion_that_nobody_knows_is_said(motion: str, known: bool) -> None:
     said = unknown_motions(Session("s", (SessionClip(Path("second"), motion),)))
     assert (said == []) == known
     assert all("second" in one and motion in one for one in said)
+
+
+@pytest.mark.parametrize(("n_frames", "measured"), [(40, 2.7), (80, 4.3), (240, 8.4)])
+def test_what_may_be_ended_without_a_word_is_said_before(n_frames: int, measured: float) -> None:
+    """By what sessions of 20 x 20 vertices have taken; a machine with half of that is too small."""
+    assert short_of_memory(n_frames, 400, 1.2 * measured) == []
+    (said,) = short_of_memory(n_frames, 400, 0.5 * measured)
+    assert f"{n_frames} frames" in said
+    assert f"{0.5 * measured:.1f} GB are free" in said
