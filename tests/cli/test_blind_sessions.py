@@ -12,6 +12,7 @@ import pytest
 import yaml
 from omegaconf import OmegaConf
 
+from toile.blind.run import Predictions, write_predictions
 from toile.blind.sealing import BlindSet, SealKey
 from toile.cli.blind_sessions import planned_sessions
 from toile.physics.simulator import SimulationError
@@ -149,6 +150,22 @@ def test_all_acts(blind) -> None:
     assert blind("run", "one_clip=true").status == 2
     assert blind("extend").status == 2
     assert blind("grade").status == 0
+
+
+def test_what_was_not_answered_in_time_is_no_answer(blind) -> None:
+    """A diagnosis that is laid there after the answers were hashed, or after labels were opened."""
+    assert blind("run").status == 0
+    late = sorted(PREDICTIONS.glob("*/diagnosis.json"))[0]
+    answered = late.read_bytes()
+    late.unlink()
+    write_predictions(BlindSet(SET), Predictions(PREDICTIONS), incomplete=True)
+    assert blind("grade").status == 0
+    marks = pd.read_csv(PREDICTIONS / "grade" / "sessions.csv").set_index("scene")
+    assert marks.loc[late.parent.name, "answer"] == "no diagnosis"
+    late.write_bytes(answered)
+    status, _, err = blind("grade")
+    assert status == 2
+    assert "not answered when answers were hashed" in err
 
 
 def test_extending_keeps_what_it_has_made(blind) -> None:

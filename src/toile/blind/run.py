@@ -25,6 +25,7 @@ from toile.atomic_file import write_text
 from toile.blind.answers import read_answer
 from toile.blind.sealing import KEY_SUFFIX, BlindSet, is_key_file
 from toile.diagnosis.record import DIAGNOSIS_FILE, GapReport
+from toile.diagnosis.stage_times import TIMES_FILE, read_times
 from toile.errors import InputError
 from toile.json_file import parse_json_object
 from toile.workers import end_with_parent
@@ -210,10 +211,12 @@ def read_predictions(blind: BlindSet, predictions: Predictions) -> dict[str, Gap
         raise _changed(predictions.list, f"{len(blind.names())} scenes of this set", f"{len(entries)} others")
     found: dict[str, GapReport | None] = {}
     for name, entry in entries.items():
+        path = predictions.diagnosis(name)
         if entry is None:
+            if path.is_file():
+                raise _changed(path, "no file: it was not answered when answers were hashed", "a diagnosis")
             found[name] = None
             continue
-        path = predictions.diagnosis(name)
         got = _hash_of(path.read_bytes()) if path.is_file() else "no file"
         if got != entry["sha256"]:
             raise _changed(path, entry["sha256"], got)
@@ -320,11 +323,19 @@ def _diagnose_one(diagnose: Diagnose, scene: str, output: str, settings: Any) ->
         begin = time.perf_counter()
         diagnose(Path(scene), folder, settings)
         read_answer(folder / DIAGNOSIS_FILE)
-        write_text(folder / SECONDS_FILE, f"{time.perf_counter() - begin:.1f}\n")
+        seconds = time.perf_counter() - begin + _of_earlier_attempts(folder)
+        write_text(folder / SECONDS_FILE, f"{seconds:.1f}\n")
     except Exception as error:
         write_text(note, "".join(traceback.format_exception(error)))
         return f"{type(error).__name__}: {error}"
     return None
+
+
+def _of_earlier_attempts(folder: Path) -> float:
+    """What stages took that an interrupted attempt has made, and this one has read [s]."""
+    path = folder / TIMES_FILE
+    made = read_times(path).values() if path.is_file() else ()
+    return sum(stage.wall for stage in made if stage.cached and stage.wall is not None)
 
 
 def _is_answered(predictions: Predictions, name: str) -> bool:

@@ -71,9 +71,9 @@ def grade_sessions(
         InputError: predictions or labels have changed, the key is another one, or other predictions have been
             graded before.
     """
-    digests = {}
+    digests, answered = {}, {}
     for clips, of_kind in predictions.items():
-        read_predictions(blind, of_kind)
+        answered[clips] = {name for name, one in read_predictions(blind, of_kind).items() if one is not None}
         digests[clips] = of_kind.hash.read_text().strip()
     if blind.read_description()["key"] != key.fingerprint:
         raise InputError(
@@ -93,8 +93,10 @@ def grade_sessions(
     for clips, of_kind in predictions.items():
         for name, sealed in labels.items():
             path = of_kind.diagnosis(name)
-            answer = read_answer(path) if path.is_file() else None
-            marks = mark_session(name, sealed, answer, path.parent, of_kind.seconds(name))
+            # What was hashed counts, and not what lies there.
+            answer = read_answer(path) if name in answered[clips] else None
+            seconds = of_kind.seconds(name) if answer is not None else None
+            marks = mark_session(name, sealed, answer, path.parent, seconds)
             rows.append({"clips": clips, **marks})
     marks = pd.DataFrame(rows)
     main = marks[marks["clips"] == next(iter(predictions))]

@@ -320,6 +320,18 @@ def _key_of(cfg: DictConfig, blind: BlindSet) -> SealKey:
             )
         key = SealKey.fresh() if cfg.seed is None else SealKey.of_seed(int(cfg.seed))
         key.write(path)
+    elif cfg.seed is not None and key.fingerprint != SealKey.of_seed(int(cfg.seed)).fingerprint:
+        raise InputError(
+            "The key that lies there is not that of the seed",
+            where=str(path),
+            expected=f"the key of seed={int(cfg.seed)}, no file, or another name=...",
+            got="another key",
+        )
+    elif not blind.description.is_file():
+        # As where several machines share a set; or its labels are open, or anybody knows the seed.
+        _log.warning(
+            "%s: a key lies there and is used; a set that was made with it before has the same scenes", path
+        )
     if blind.description.is_file() and blind.read_description()["key"] != key.fingerprint:
         raise InputError(
             "The key is not the set's", where=str(path), expected="the set's key", got="another key"

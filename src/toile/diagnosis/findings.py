@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from toile.diagnosis.base_fit import fitted_discrepancy
 from toile.diagnosis.continuity import Discrepancy
@@ -142,6 +143,7 @@ def amounts(
     effect: Effect,
     around: Surroundings,
     material: Mapping[str, float],
+    times: Tensor,
     widened: float = WIDENED,
 ) -> dict[str, Estimate]:
     """What the coefficients come to, with 90 % intervals; {} where they say so themselves.
@@ -150,14 +152,15 @@ def amounts(
         found: of the effect.
         effect: see Effect.amounts.
         around: the clip whose coefficients they are.
-        material: of the cloth, by name.
+        material: of the cloth, by name, that of the same fit.
+        times: of the frames that the coefficients are known from (T,) [s].
         widened: see estimates.
     """
     bounds = [np.array([getattr(p, end) for p in effect.parameters]) for end in ("low", "high")]
 
     def of(values: Array) -> tuple[Amount, ...]:
         acting = effect.with_values(torch.from_numpy(np.clip(values, *bounds)))
-        return acting.amounts(around, material)
+        return acting.amounts(around, material, times)
 
     mean = np.array([found.mean[parameter.name] for parameter in effect.parameters])
     best = of(mean)

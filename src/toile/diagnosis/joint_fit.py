@@ -21,6 +21,7 @@ from scipy.interpolate import CubicSpline
 from scipy.linalg import block_diag, solve_triangular
 from scipy.optimize import lsq_linear
 from scipy.signal import savgol_filter
+from torch import Tensor
 
 from toile.diagnosis.base_fit import (
     N_WIND,
@@ -140,6 +141,11 @@ class JointClip:
     still_air: bool = False
     wind: tuple[float, ...] = (0.0,) * N_WIND
     own: Mapping[str, Effect] = field(default_factory=dict)
+
+    @property
+    def known_times(self) -> Tensor:
+        """Of the frames that are fitted (T,) [s]."""
+        return self.around.frame_times()[: self.windows[-1].last + 1]
 
     def acting(self, effect: Effect, coefficients: Array) -> Effect:
         """An effect as it acts in this clip, with coefficients (n,) in prior deviations."""

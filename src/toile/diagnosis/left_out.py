@@ -1,11 +1,12 @@
-"""How far the error shrinks on a whole clip that no fit has seen.
+"""How far the error shrinks on a whole clip that fits have not seen.
 
-Material and effects come from the other clips. The clip left out is predicted piece by piece: from where the
-cloth is, and as fast as it is, some frames ahead with nothing free. Where it is and how fast, in depth above
-all, images hardly say, and a law that is wrong has drawn it to where that law is right; so every hypothesis
-begins with the motion that it has refined itself. The same images judge all of them. The clip's wind is that
-of the hypothesis' own fit to all clips, since no other clip knows of it. So starts and wind have seen what is
-predicted, those of base model and effect alike; placebos begin with the base model's.
+Material and effects come from the other clips, but for effects that belong to a clip (gusts, contact): no
+other clip knows of those, so they come from the fit to all. The clip left out is predicted piece by piece:
+from where the cloth is, and as fast as it is, some frames ahead with nothing free. Where it is and how fast,
+in depth above all, images hardly say, and a law that is wrong has drawn it to where that law is right; so
+every hypothesis begins with the motion that it has refined itself. The same images judge all of them. The
+clip's wind is that of the hypothesis' own fit to all clips, since no other clip knows of it. So starts and
+wind have seen what is predicted, those of base model and effect alike; placebos begin with the base model's.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 from toile.diagnosis.base_fit import N_WIND, base_of
 from toile.diagnosis.image_error import METRIC, ImageError
 from toile.diagnosis.joint_fit import JointClip, JointFit, JointFitting, tracked_windows
-from toile.diagnosis.record import PIECES, Shrink
+from toile.diagnosis.record import LAST_CLIP, PIECES, Shrink
 from toile.diagnosis.shooting import Base, cosine_modes
 from toile.diagnosis.shrinkage import PredictionSettings, interval, shrink_of
 from toile.effects.base import Effect, Scope
@@ -111,7 +112,7 @@ def left_out_shrinks(
             continue
         total = shrink_of(without_effect, better)
         low, high = interval(without_effect, better, seed, resampled)
-        held = "the last clip" if without is not None else f"{PIECES} of {ahead} frames"
+        held = LAST_CLIP if without is not None else f"{PIECES} of {ahead} frames"
         shrinks[name] = Shrink(
             METRIC,
             held,

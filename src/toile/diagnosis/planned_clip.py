@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from toile.diagnosis.joint_fit import JointClip, tracked_windows
 from toile.diagnosis.shooting import Base, Shooting
 from toile.diagnosis.tracked import Tracked
+from toile.physics.cloth import Cloth
 from toile.physics.implicit.integrators import BDF2
 from toile.physics.implicit.simulator import ImplicitSimulator
 from toile.physics.rollout import rollout
@@ -56,6 +57,9 @@ HELD_STILL = frozenset(motion for motion, done in PERFORMANCES.items() if done.a
 STILL_AIR = "fan_off"
 """Motion in which there is no wind."""
 
+_SQUARE = 1e-3
+"""Share by which sides may differ."""
+
 _ACROSS = np.array([0.6, 0.8])
 """Along the two horizontal axes: how the wind blows and the corners move."""
 
@@ -99,7 +103,9 @@ def planned_clip(
             raise SimulationError("a sheet that is not square on its grid is not turned")
         places = np.rot90(np.arange(H * W).reshape(H, W)).reshape(-1)
         begin, of_old = begin[places], np.argsort(places)
-        cloth = replace(cloth, pinned=torch.from_numpy(of_old[cloth.pinned.numpy()].copy()))
+        turned = replace(cloth, pinned=torch.from_numpy(of_old[cloth.pinned.numpy()].copy()))
+        begin = _as_far_apart(begin, cloth, turned, like.around.cloth_size)
+        cloth = turned
     pinned = cloth.pinned.numpy()
     across = _ACROSS @ old.horizontal
 
@@ -148,3 +154,32 @@ def planned_clip(
     around = replace(like.around, cloth=cloth, n_frames=n_frames)
     clip = JointClip(shooting, around, like.device, windows, still_air=motion == STILL_AIR)
     return clip, wind
+
+
+def _as_far_apart(begin: Array, held: Cloth, turned: Cloth, sides: tuple[float, float]) -> Array:
+    """Places of a turned cloth, its hands as slack as they were: the other edge may be longer.
+
+    Args:
+        begin: places of the vertices, hands where they were (N, 3) [m].
+        held: as it was held.
+        turned: as it is held now.
+        sides: rest length along grid axis 0 and 1 [m].
+
+    Raises:
+        SimulationError: more than two hands hold a cloth whose sides differ.
+    """
+    if abs(sides[0] / sides[1] - 1) < _SQUARE:
+        return begin
+    if len(turned.pinned) > 2:
+        raise SimulationError("a sheet that is not square, and held by more than two hands, is not turned")
+    along = torch.cartesian_prod(*(p * side for p, side in zip(turned.lines.places(), sides, strict=True)))
+    if len(turned.pinned) < 2:
+        return begin
+    (a, b), (c, d) = along[held.pinned], along[turned.pinned]
+    ratio = float((d - c).norm() / (b - a).norm())
+    first, second = begin[turned.pinned.numpy()]
+    middle = 0.5 * (first + second)
+    # All of it, so that no thread is torn on the way to where it hangs.
+    direction = (second - first) / np.linalg.norm(second - first)
+    moved: Array = begin + (ratio - 1) * ((begin - middle) @ direction)[:, None] * direction
+    return moved

@@ -55,6 +55,8 @@ UNKNOWN = "unknown"
 """Verdict: something that is not in the catalogue."""
 PIECES = "pieces"
 """Begin of what was held out where there is no clip that fits have not seen."""
+LAST_CLIP = "the last clip"
+"""What was held out where there are several."""
 MOVED = 0.005
 """Mean distance from which on a frame is one in which an effect moves the cloth [widths]."""
 

@@ -47,7 +47,13 @@ def gap_report(
     by_name = {effect.NAME: effect for effect in problem.effects}
     converged = problem.converged_mechanics(found.tracked, found.base, found.converged)
     names = converged.shooting.simulator.cloth.energies.parameters.names
-    material = dict(zip(names, converged.fit.base.material.tolist(), strict=True))
+    times = converged.around.frame_times()[: found.used]
+
+    def material_with(effect: str) -> dict[str, float]:
+        refit = found.race.effects.get(effect)
+        base = converged.fit.base if refit is None else refit.base
+        return dict(zip(names, base.material.tolist(), strict=True))
+
     return GapReport(
         until(verdict, known) if known < n_frames else verdict,
         Where(stage_shares(judged.evidence, calibration, numerics), maps.frames, VERTICES_FILE, maps.regimes),
@@ -58,7 +64,14 @@ def gap_report(
                 judged.chances[name],
                 estimates(judged.findings[name], by_name[name], settings.widened),
                 shrinks.get(name),
-                amounts(judged.findings[name], by_name[name], converged.around, material, settings.widened),
+                amounts(
+                    judged.findings[name],
+                    by_name[name],
+                    converged.around,
+                    material_with(name),
+                    times,
+                    settings.widened,
+                ),
             )
             for name in judged.ranked
         ),

@@ -8,8 +8,8 @@ trace is not.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,12 +38,18 @@ class SecondEffect:
         chances: of all others beside it, NONE among them, most probable first.
         name: of the one that is believed, "" for none.
         found: what their common fit says of each where one is believed, (n,) and (n, n) in prior deviations.
+        values: of that fit, see JointFit; of no length where none is believed.
     """
 
     first: str
     chances: dict[str, float]
     name: str
     found: dict[str, tuple[Array, Array]]
+    values: Array = field(default_factory=lambda: np.empty(0))
+
+    def unless(self, names: Collection[str]) -> SecondEffect:
+        """The same; none is believed where it is one of these, which predict worse than nothing."""
+        return SecondEffect(self.first, self.chances, "", {}) if self.name in names else self
 
 
 @dataclass(frozen=True)
@@ -100,7 +106,9 @@ class EffectsBeside:
         both = first in self.base.names
         if name and not both and _believed(self.beside(name, share, only=first)[0], settings) != first:
             name = ""
-        return SecondEffect(first, probable, name, self._of_each(fits[name]) if name else {})
+        if not name:
+            return SecondEffect(first, probable, "", {})
+        return SecondEffect(first, probable, name, self._of_each(fits[name]), fits[name].values)
 
     def _of_each(self, fit: JointFit) -> dict[str, tuple[Array, Array]]:
         """Coefficients of every effect in the first clip, and their covariance."""

@@ -22,7 +22,7 @@ from toile.diagnosis.effect_evidence import EffectEvidence
 from toile.diagnosis.effect_map import effect_map
 from toile.diagnosis.effect_sensitivities import FORCES
 from toile.diagnosis.effect_size import Displacement, Displacements
-from toile.diagnosis.findings import amounts, estimates, finding
+from toile.diagnosis.findings import Finding, amounts, estimates, finding
 from toile.diagnosis.fingerprint import fingerprint
 from toile.diagnosis.gap_maps import stage_chances
 from toile.diagnosis.holder_slips import which_slips, with_slips
@@ -41,6 +41,7 @@ from toile.diagnosis.record import (
     CalibrationUse,
     Covered,
     EffectReport,
+    Estimate,
     GapReport,
     Protocol,
     SessionAnswer,
@@ -82,7 +83,7 @@ from toile.diagnosis.verdict import (
     verdict_of,
 )
 from toile.effects.anchor_slip import AnchorSlip
-from toile.effects.base import Effect
+from toile.effects.base import Effect, Scope
 from toile.effects.catalogue import CATALOGUE, PUSHING, STAGES, STAND_INS, StandInEffect
 from toile.effects.contact import Contact
 from toile.errors import InputError
@@ -318,14 +319,15 @@ def diagnose_session(
         lambda own, fit: model.last_clip_of(own, fit, workers),
         workers,
     )
-    if len(clips) > 1 and next(iter(evidence.chances)) == NONE:
-        evidence = evidence.without(overtaken(left_out.shrinks), weights)
+    worse = overtaken(left_out.shrinks) if len(clips) > 1 else ()
+    if next(iter(evidence.chances)) == NONE:
+        evidence = evidence.without(worse, weights)
     second: SecondEffect | None = None
     if sum(evidence.chances.get(effect.NAME, 0.0) for effect in moving) >= settings.verdict.named:
         # Something moves the cloth, whichever it is.
         progress("what acts beside the most probable effect", 0.93)
         beside = EffectsBeside(pipeline, stages, motion, base, simulated, moving, outside, learned, weights)
-        second = beside.second(evidence.chances, settings.verdict, 0.93)
+        second = beside.second(evidence.chances, settings.verdict, 0.93).unless(worse)
     gains: dict[str, float] = {}
     if not is_clear(evidence.chances, settings.verdict) and not (second and second.name):
         progress("clips that may be recorded next", 0.95)
@@ -335,7 +337,7 @@ def diagnose_session(
             {**dict.fromkeys(base.names, base), **fits},
             considered,
             systems,
-            evidence.motion,
+            evidence.motion.without(evidence.silent),
             of_one_clip,
             MOTIONS,
             together.draws,
@@ -383,7 +385,8 @@ def _stand_ins(
 ) -> dict[str, StandIn]:
     """What stands in for causes that the catalogue lacks, the most probable first."""
     # Odds have the constant of the logits only where the same effects say nothing.
-    motion, around = evidence.motion.without(evidence.silent), model.fitting.clips[0].around
+    motion, clip = evidence.motion.without(evidence.silent), model.fitting.clips[0]
+    around, times = clip.around, clip.known_times
     odds = motion.odds(weights)
     by_name = {effect.NAME: effect for effect in effects if effect.NAME in odds}
     # UNKNOWN is more: what nothing explains, and what the cloth looks like, say nothing of what moves it.
@@ -396,8 +399,8 @@ def _stand_ins(
             mean = outside.causes[name].coefficients
         acting = effect.with_values(effect.scales * torch.from_numpy(mean[: len(effect.scales)].copy()))
         chance = float(np.exp(odds[name] - every))
-        amounts = acting.amounts(around, _material(model.fitting, fits[name]))
-        said = {f"{amount.what} [{amount.unit}]": amount.value for amount in amounts}
+        came_to = acting.amounts(around, _material(model.fitting, fits[name].values), times)
+        said = {f"{amount.what} [{amount.unit}]": amount.value for amount in came_to}
         found[name] = StandIn(chance, size if np.isfinite(size) else None, said)
     return found
 
@@ -459,7 +462,7 @@ def _report(
     folder: Path,
 ) -> GapReport:
     evidence, by_name = found.evidence, {effect.NAME: effect for effect in effects}
-    findings, fitting = dict(evidence.findings), found.model.fitting
+    findings = dict(evidence.findings)
     distances = _distances(found)
     _write(folder / VERTICES_FILE, np.concatenate(distances).mean(0))
     _write(folder / FRAMES_FILE, np.concatenate(distances).astype(np.float32))
@@ -498,7 +501,7 @@ def _report(
         verdict = unsettled(verdict, evidence.chances, found.fits)
     pairs = zip(session.clip_names, found.clips, strict=True)
     frames = [(name, clip.n_frames, clip.problem.scene.n_frames) for name, clip in pairs]
-    verdict = seen_in_part(verdict, frames)
+    verdict = seen_in_part(verdict, evidence.chances, frames)
     following = ""
     # A class that is one answer is clear where its members are not.
     gains = found.gains if verdict.effect in (AMBIGUOUS, UNKNOWN) else {}
@@ -530,13 +533,7 @@ def _report(
                 chance,
                 estimates(findings[name], by_name[name], settings.widened),
                 found.left_out.shrinks.get(name),
-                amounts(
-                    findings[name],
-                    by_name[name],
-                    fitting.clips[0].around,
-                    _material(fitting, found.fits.get(name, found.base)),
-                    settings.widened,
-                ),
+                _amounts(found, findings[name], by_name[name], session, settings.widened),
             )
             for name, chance in evidence.chances.items()
             if name in findings
@@ -555,7 +552,7 @@ def _report(
             tuple(clip.n_frames for clip in found.clips),
             dict(evidence.chances),
             tuple(classes),
-            _material(fitting, found.base),
+            _material(found.model.fitting, found.base.values),
             evidence.left,
             following,
             dict(gains),
@@ -606,11 +603,27 @@ def _obstacles(found: _Found, session: Session) -> dict[str, dict[str, tuple[flo
     }
 
 
-def _material(fitting: JointFitting, fit: JointFit) -> dict[str, float]:
-    """Material of a hypothesis by name, SI."""
-    values = fitting.start * np.exp(fit.values[: len(fitting.start)])
+def _amounts(
+    found: _Found, finding: Finding, effect: Effect, session: Session, widened: float
+) -> dict[str, Estimate]:
+    """What the coefficients of an effect come to, those of the first clip where every clip has its own."""
+    fitting, second = found.model.fitting, found.second
+    values = found.fits.get(effect.NAME, found.base).values
+    if second is not None and effect.NAME in second.found:
+        values = second.values
+    clip = fitting.clips[0]
+    material = _material(fitting, values)
+    came_to = amounts(finding, effect, clip.around, material, clip.known_times, widened)
+    if effect.SCOPE is not Scope.CLIP or len(found.clips) == 1:
+        return came_to
+    return {f"{what} in {session.clip_names[0]}": estimate for what, estimate in came_to.items()}
+
+
+def _material(fitting: JointFitting, values: Array) -> dict[str, float]:
+    """Material of a hypothesis by name, SI, from its fit's values."""
+    material = fitting.start * np.exp(values[: len(fitting.start)])
     names = fitting.clips[0].shooting.simulator.cloth.energies.parameters.names
-    return dict(zip(names, map(float, values), strict=True))
+    return dict(zip(names, map(float, material), strict=True))
 
 
 def _distances(found: _Found) -> list[Array]:

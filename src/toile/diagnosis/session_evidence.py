@@ -64,9 +64,10 @@ class SessionEvidence:
             names: of effects that move the cloth.
             weights: see SessionWeights.
         """
-        logits = _logits(self.motion.without(names), self.of_images, weights)
+        motion = self.motion.without(names)
+        logits = _logits(motion, self.of_images, weights)
         chances = {**_chances(logits), **dict.fromkeys(names, 0.0)}
-        return replace(self, logits=logits, chances=chances, silent=tuple(names))
+        return replace(self, logits=logits, chances=chances, left=motion.over_usual, silent=tuple(names))
 
 
 def session_evidence(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated
@@ -93,7 +94,7 @@ def verdict_of(
             AMBIGUOUS,
             candidates,
             _stage_of(candidates),
-            float(sum(found[c] for c in candidates)),
+            _together(found, candidates),
             f"{begin} cannot tell {listed} apart.",
             next_recording(candidates),
         )
@@ -168,7 +169,7 @@ def of_class(
     if verdict.effect != AMBIGUOUS:
         return verdict
     for one in classes:
-        total = sum(found.get(name, 0.0) for name in one)
+        total = _together(found, one)
         first = NONE if NONE in one else max(one, key=lambda name: found.get(name, 0.0))
         others = max((p for name, p in found.items() if name not in one), default=0.0)
         clear = total >= settings.needed(first) and total >= settings.ahead * others
@@ -247,11 +248,16 @@ def _ambiguous(
         effect=AMBIGUOUS,
         candidates=candidates,
         stage=_stage_of(candidates),
-        probability=float(sum(found[name] for name in candidates)),
+        probability=_together(found, candidates),
         reason=reason,
         next_recording=next_recording(candidates),
         also=None,
     )
+
+
+def _together(found: Mapping[str, float], names: Sequence[str]) -> float:
+    """Probability of all of them, which rounding makes no more than 1."""
+    return min(1.0, math.fsum(found.get(name, 0.0) for name in names))
 
 
 def _stage_of(candidates: Sequence[str]) -> str:
@@ -266,13 +272,16 @@ def until(verdict: Verdict, frame: int) -> Verdict:
     return replace(verdict, reason=f"{verdict.reason} {note}")
 
 
-def seen_in_part(verdict: Verdict, frames: Sequence[tuple[str, int, int]]) -> Verdict:
+def seen_in_part(
+    verdict: Verdict, found: Mapping[str, float], frames: Sequence[tuple[str, int, int]]
+) -> Verdict:
     """The same verdict, saying of which clips tracking has lost the cloth.
 
     What most frames are missing for is no proof that nothing is missing: ``none`` is ambiguous then.
 
     Args:
         verdict: from the frames before.
+        found: probabilities.
         frames: name of every clip, frames in which its tracked motion is that of the cloth, and all of them.
     """
     lost = [(clip, known) for clip, known, every in frames if known < every]
@@ -286,8 +295,7 @@ def seen_in_part(verdict: Verdict, frames: Sequence[tuple[str, int, int]]) -> Ve
     reason = " ".join(
         (*notes, f"The {known} frames before, of {every}, are too few to say that nothing acts.")
     )
-    following = next_recording(verdict.candidates)
-    return replace(verdict, effect=AMBIGUOUS, stage=UNKNOWN, reason=reason, next_recording=following)
+    return _ambiguous(verdict, verdict.candidates, found, reason)
 
 
 # Candidates that a sentence holds.

@@ -185,12 +185,15 @@ class Effect(ABC):
         """
         return None
 
-    def amounts(self, around: Surroundings, material: Mapping[str, float]) -> tuple[Amount, ...]:
+    def amounts(
+        self, around: Surroundings, material: Mapping[str, float], times: Tensor
+    ) -> tuple[Amount, ...]:
         """What the values come to; () where they say so themselves, as most do.
 
         Args:
             around: the clip.
             material: of the cloth, by name.
+            times: of the frames that they are known from (T,) [s]; of others they say nothing.
         """
         return ()
 

@@ -90,9 +90,11 @@ class Gusts(ForceEffect):
         other._parameters = _parameters(n_modes)
         return other.with_values(values.reshape(-1))
 
-    def amounts(self, around: Surroundings, material: Mapping[str, float]) -> tuple[Amount, ...]:
+    def amounts(
+        self, around: Surroundings, material: Mapping[str, float], times: Tensor
+    ) -> tuple[Amount, ...]:
         """See Effect: the strongest that blows at a frame, beside the clip's wind."""
-        strongest = self.acceleration(around.frame_times(), around).norm(dim=-1).max()
+        strongest = self.acceleration(times, around).norm(dim=-1).max()
         return (Amount("strongest gust", float(strongest), "m/s²"),)
 
     def acceleration(self, times: Tensor, around: Surroundings) -> Tensor:

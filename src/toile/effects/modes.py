@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import ClassVar, Self
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -62,6 +63,13 @@ def _on_grid(lines: GridLines, modes: tuple[tuple[int, int], ...]) -> Tensor:
     return torch.stack(found, -1).reshape(-1, len(modes))
 
 
+def areas(cloth: Cloth) -> Tensor:
+    """Share of the sheet's area that belongs to every vertex (N,)."""
+    first, second = cloth.lines.shares()
+    whole = torch.outer(first, second).reshape(-1)
+    return whole / whole.sum()
+
+
 class SmoothField(Effect):
     """An effect whose values are amplitudes of smooth modes over the cloth.
 
@@ -112,13 +120,18 @@ class SmoothField(Effect):
         field = self.field(around.cloth)
         return (field - field.median()).abs()
 
-    def amounts(self, around: Surroundings, material: Mapping[str, float]) -> tuple[Amount, ...]:
+    def amounts(
+        self, around: Surroundings, material: Mapping[str, float], times: Tensor
+    ) -> tuple[Amount, ...]:
         """See Effect: the twentieths of the cloth with the lowest and the highest values, against usual."""
-        ends = torch.tensor(_ENDS, dtype=torch.float64)
-        changes = 100 * torch.expm1(torch.quantile(self.field(around.cloth), ends))
-        return tuple(
-            Amount(what, float(change), "%") for what, change in zip(self.ENDS, changes, strict=True)
-        )
+        field = self.field(around.cloth)
+        order = torch.argsort(field)
+        # Lines of the grid may be closer at the borders, where smooth fields have their extremes.
+        shares = areas(around.cloth)[order]
+        up_to = torch.cumsum(shares, 0) - shares / 2
+        ends = np.interp(_ENDS, up_to.numpy(), field[order].detach().numpy())
+        changes = (100 * np.expm1(ends)).tolist()
+        return tuple(Amount(what, change, "%") for what, change in zip(self.ENDS, changes, strict=True))
 
     def field(self, cloth: Cloth) -> Tensor:
         """The field at the vertices (N,)."""

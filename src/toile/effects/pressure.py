@@ -60,13 +60,15 @@ class Pressure(VertexEffect):
         other._parameters = _parameters(n_modes)
         return other.with_values(values)
 
-    def amounts(self, around: Surroundings, material: Mapping[str, float]) -> tuple[Amount, ...]:
+    def amounts(
+        self, around: Surroundings, material: Mapping[str, float], times: Tensor
+    ) -> tuple[Amount, ...]:
         """See Effect: mean over the clip, and deviation in time; along the normals, see StepContext.normals.
 
         Per mass of an area, as images do not say what a cloth weighs. The mean is hardly told apart from a
         steady wind.
         """
-        over_time = self._waves(around.frame_times()) @ self.values
+        over_time = self._waves(times) @ self.values
         return (
             Amount("mean", float(over_time.mean()), "m/s²"),
             Amount("deviation in time", float(over_time.std(correction=0)), "m/s²"),

@@ -122,7 +122,9 @@ class RestCurvature(VertexEffect):
         of_rows, of_columns = _along(self.values, *around.cloth.lines.places())
         return torch.hypot(of_rows[:, None], of_columns[None]).reshape(-1)
 
-    def amounts(self, around: Surroundings, material: Mapping[str, float]) -> tuple[Amount, ...]:
+    def amounts(
+        self, around: Surroundings, material: Mapping[str, float], times: Tensor
+    ) -> tuple[Amount, ...]:
         """See Effect: κ where it is largest."""
         moments = torch.cat(_along(self.values, *around.cloth.lines.places()))
         tightest = float(moments.abs().max()) / material["bending"]

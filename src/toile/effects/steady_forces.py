@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from toile.effects.base import Amount, ForceEffect, Parameter, Scope, Stage, Surroundings
-from toile.effects.modes import cosine_modes, modes_up_to
+from toile.effects.modes import areas, cosine_modes, modes_up_to
 
 HALF_WAVES = 3
 """Along each axis of the cloth, of the shortest mode."""
@@ -49,10 +49,13 @@ class SteadyForces(ForceEffect):
         "Society B 63(3), 2001 (a discrepancy of its own, here a force)"
     )
 
-    def amounts(self, around: Surroundings, material: Mapping[str, float]) -> tuple[Amount, ...]:
+    def amounts(
+        self, around: Surroundings, material: Mapping[str, float], times: Tensor
+    ) -> tuple[Amount, ...]:
         """See Effect: root mean square of the field over the cloth."""
         field = self.acceleration(torch.zeros(1, dtype=torch.float64), around)[0]
-        return (Amount("root mean square", float(field.square().sum(-1).mean().sqrt()), "m/s²"),)
+        mean_square = areas(around.cloth) @ field.square().sum(-1)
+        return (Amount("root mean square", float(mean_square.sqrt()), "m/s²"),)
 
     def acceleration(self, times: Tensor, around: Surroundings) -> Tensor:
         """See ForceEffect."""

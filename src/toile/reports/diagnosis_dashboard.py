@@ -89,7 +89,7 @@ def answer_text(report: GapReport) -> str:
     found = report.effect(verdict.effect)
     parts = [f"## {_plain(answer(report))}", _plain(certainty(report))]
     if found is not None and found.shrink is not None:
-        parts.append(_plain(shrinkage(found.shrink)))
+        parts.append(_plain(shrinkage(found.shrink, found.name)))
     if verdict.next_recording:
         parts.append(f"**Record next:** {_plain(verdict.next_recording)}")
     if verdict.reason:

@@ -5,9 +5,20 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 
-from toile.diagnosis.record import AMBIGUOUS, MOVED, NONE, PIECES, UNKNOWN, GapReport, Shrink, StandIn
+from toile.diagnosis.record import (
+    AMBIGUOUS,
+    LAST_CLIP,
+    MOVED,
+    NONE,
+    PIECES,
+    UNKNOWN,
+    GapReport,
+    Shrink,
+    StandIn,
+)
 from toile.effects.anchor_slip import AnchorSlip
-from toile.effects.base import Stage
+from toile.effects.base import Scope, Stage
+from toile.effects.catalogue import CATALOGUE
 
 _SPOKEN = {
     NONE: "nothing at all",
@@ -134,6 +145,34 @@ def answer(report: GapReport) -> str:
     return f"The gap is {listed(names, 'and')}."
 
 
+def alike_in_answer(report: GapReport) -> tuple[str, ...]:
+    """Names whose probabilities the answer has together, as the clips cannot tell them apart; () for one."""
+    session, verdict = report.session, report.verdict
+    if session is None or verdict.effect in (AMBIGUOUS, UNKNOWN):
+        return ()
+    own = session.probabilities.get(verdict.effect, 0.0)
+    if verdict.also or verdict.probability <= own + 1e-9:
+        return ()
+    for one in session.equivalence_classes:
+        if verdict.effect in one:
+            return tuple(sorted(one, key=lambda name: -session.probabilities.get(name, 0.0)))
+    return ()
+
+
+def _of_alike(report: GapReport, alike: Sequence[str], probability: str, stage: str) -> str:
+    """``certainty`` where the answer is one of several that clips cannot tell apart."""
+    verdict = report.verdict
+    causes = [spoken(name) for name in alike if name != NONE]
+    if verdict.effect == NONE:
+        that = f"nothing is missing, or {listed(causes, 'or')}, which {clips_of(report)} would not show"
+    else:
+        that = f"it is one of {listed(causes, 'and')}, which {clips_of(report)} cannot tell apart"
+    left = [spoken(name) for name in verdict.candidates if name not in alike]
+    parts = [f"Probability {probability} that {that}.", stage]
+    parts += [f"Not excluded: {listed(left, 'and')}."] if left else []
+    return " ".join(part for part in parts if part)
+
+
 def certainty(report: GapReport) -> str:
     """How sure the answer is, and where along the way from forces to pixels it lies."""
     verdict = report.verdict
@@ -141,6 +180,8 @@ def certainty(report: GapReport) -> str:
     stage = f"It acts in the {verdict.stage} stage." if verdict.stage in STAGES else ""
     others = [spoken(c) for c in verdict.candidates if c not in (verdict.effect, verdict.also)]
     excluded = f" Not excluded: {listed(others, 'and')}." if others else ""
+    if alike := alike_in_answer(report):
+        return _of_alike(report, alike, probability, stage)
     if verdict.effect == NONE:
         return f"Probability {probability} that nothing is missing.{excluded}"
     if verdict.effect == UNKNOWN:
@@ -248,10 +289,17 @@ def _numbers(values: Sequence[float]) -> str:
     return ", ".join(f"{value:.2f}" for value in values)
 
 
-def shrinkage(shrink: Shrink) -> str:
-    """How far the held-out error falls, and whether more than with a placebo."""
+def shrinkage(shrink: Shrink, name: str = "") -> str:
+    """How far the held-out error falls, and whether more than with a placebo.
+
+    Args:
+        shrink: see Shrink.
+        name: of the effect.
+    """
     what, unit = metric_and_unit(shrink.metric)
     unseen = "" if shrink.held_out.startswith(PIECES) else ", which no fit has seen,"
+    if shrink.held_out == LAST_CLIP and name in CATALOGUE and CATALOGUE[name].SCOPE is Scope.CLIP:
+        unseen = f", which no fit has seen but that of its own {plain_name(name)},"
     seen = f"On {shrink.held_out}{unseen} the error ({what})"
     by = amount(abs(shrink.estimate))
     if by == "0 %":

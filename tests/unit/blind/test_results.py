@@ -15,7 +15,7 @@ import pandas as pd
 import pytest
 
 from toile.blind.grading import grade_set, write_grade
-from toile.blind.run import Predictions, write_predictions
+from toile.blind.run import Predictions, _of_earlier_attempts, write_predictions
 from toile.blind.sealing import BlindSet, Sealed, SealKey
 from toile.blind.tables import by_effect, by_generator, limits, over_naive
 from toile.diagnosis.record import (
@@ -266,3 +266,13 @@ def test_grade_of_other_predictions_is_refused(
     predictions.hash.write_text("0" * 64 + "\n")
     with pytest.raises(InputError, match="other predictions"):
         results.write_results(blind, predictions, tmp_path / "docs")
+
+
+def test_time_of_an_interrupted_attempt_counts(tmp_path: Path) -> None:
+    """What it has made is read by the one after, which says how long it took."""
+    assert _of_earlier_attempts(tmp_path) == 0.0
+    stages = {"tracking": (12.5, True), "refined motion": (30.0, True), "answer": (7.0, False)}
+    values = {name: {"wall": wall, "cpu": wall, "cached": cached} for name, (wall, cached) in stages.items()}
+    values["lost"] = {"wall": None, "cpu": None, "cached": True}
+    (tmp_path / "times.json").write_text(json.dumps({"stages": values}))
+    assert _of_earlier_attempts(tmp_path) == 42.5

@@ -119,10 +119,16 @@ class TestExpectedGain:
 @pytest.fixture(scope="module")
 def hanging() -> JointClip:
     """A cloth that hangs from two corners, known to 2 mm."""
-    cloth = grid_cloth(GRID, (0.3, 0.3), 0.15, (0, GRID[1] * (GRID[0] - 1)))
-    around = Surroundings(cloth, (0.3, 0.3), torch.from_numpy(GRAVITY), FPS, FRAMES)
+    return hung((0.3, 0.3))
+
+
+def hung(sides: tuple[float, float]) -> JointClip:
+    """The same with such sides [m]."""
+    cloth = grid_cloth(GRID, sides, 0.15, (0, GRID[1] * (GRID[0] - 1)))
+    around = Surroundings(cloth, sides, torch.from_numpy(GRAVITY), FPS, FRAMES)
     i, j = torch.meshgrid(torch.arange(GRID[0]), torch.arange(GRID[1]), indexing="ij")
-    start = torch.stack((0.07 * i, 0.075 * j, 1 + 0.02 * j), -1).reshape(1, -1, 3).double()
+    u, v = (of * side / 0.3 for of, side in zip((i, j), sides, strict=True))
+    start = torch.stack((0.07 * u, 0.075 * v, 1 + 0.02 * j), -1).reshape(1, -1, 3).double()
     h = 1 / FPS / SUBSTEPS
     simulator = ImplicitSimulator(cloth, h, BDF2(), NewtonSettings(1e-6))
     weight = cloth.masses[:, None] * torch.from_numpy(GRAVITY)
@@ -175,6 +181,17 @@ class TestPlannedClips:
         hands = hanging.shooting.tracked.positions[0][sorted(old)]
         held = clip.shooting.tracked.positions[0][sorted(new)]
         assert np.allclose(np.sort(hands, 0), np.sort(held, 0))
+
+    def test_hands_on_a_longer_edge_are_as_slack_as_before(self) -> None:
+        """Of a cloth that is not square the other edge hung between hands for this one."""
+        sheet = hung((0.24, 0.3))
+        clip, _ = planned_clip(sheet, "turned", MATERIAL, 5, MOVED)
+
+        def slack(of: JointClip, side: float) -> float:
+            first, second = of.shooting.boundary[0]
+            return float(np.linalg.norm(second - first)) / side
+
+        assert slack(clip, 0.3) == pytest.approx(slack(sheet, 0.24))
 
 
 def test_still_air_parts_tilted_gravity_from_a_wind(hanging: JointClip) -> None:

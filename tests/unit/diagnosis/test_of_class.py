@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from toile.diagnosis.decision import Calibration
 from toile.diagnosis.record import AMBIGUOUS, Verdict
-from toile.diagnosis.verdict import VerdictSettings, of_class
+from toile.diagnosis.verdict import VerdictSettings, of_class, verdict_of
 
 SETTINGS = VerdictSettings(named=0.9)
 OPEN = Verdict(
@@ -45,3 +46,11 @@ def test_what_is_not_clear_stays_ambiguous(chances: dict[str, float], classes: l
 def test_a_clear_answer_stays() -> None:
     clear = Verdict("gusts", ("gusts",), "actuation", 0.95, "gusts explains what is missing.", "")
     assert of_class(clear, {"gusts": 0.95, "none": 0.05}, [TILT], SETTINGS) == clear
+
+
+def test_candidates_that_hold_everything_have_no_more_than_that() -> None:
+    """Rounding made 1.0000000000000002 of these, which no diagnosis.json may hold."""
+    chances = {"focal_error": 0.7974751978165223, "anchor_slip": 0.20252480218347782}
+    assert sum(chances.values()) > 1
+    verdict = verdict_of(chances, {}, Calibration.load(), {}, settings=VerdictSettings(named=0.9))
+    assert (verdict.effect, verdict.probability) == (AMBIGUOUS, 1.0)

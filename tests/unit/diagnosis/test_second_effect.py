@@ -152,3 +152,11 @@ def test_two_rivals_that_both_act_are_the_answer() -> None:
     assert (lit.also, lit.candidates) == ("shading", ("air_drag", "gusts"))
     none = Verdict(NONE, (NONE,), NONE, 0.95, "…", "")
     assert of_two(none, "air_drag", "gusts", 0.9) == none
+
+
+def test_a_second_effect_that_predicts_worse_than_nothing_is_not_believed() -> None:
+    chances = {"air_drag": 0.97, "none": 0.03}
+    second = SecondEffect("gusts", chances, "air_drag", {"air_drag": (np.ones(1), np.eye(1))})
+    assert second.unless(("contact",)) is second
+    left = second.unless(("air_drag",))
+    assert (left.first, left.chances, left.name, left.found) == ("gusts", chances, "", {})

@@ -126,6 +126,8 @@ def test_what_predicts_worse_speaks_for_none_no_more() -> None:
     # What images show keeps its odds against none.
     assert found.logits["exposure_drift"] - found.logits[NONE] == pytest.approx(-5.0)
     assert found.motion is motion
+    # What the density explains is no more explained.
+    assert found.left == motion.without(("nonuniform_density",)).over_usual > same.left
     # Odds of the motion without it are the logits, by the same constant.
     odds = motion.without(found.silent).odds(weights)
     assert odds["anisotropic_stiffness"] == found.logits["anisotropic_stiffness"]

@@ -56,7 +56,7 @@ def test_sides_end_at_the_lengths_that_are_said() -> None:
     shrunk, _ = moved(shrinking(duration), None, STEPS)
     height = shrunk[-1, :, 1].max() / plain[-1, :, 1].max()
     assert float(height) == pytest.approx(0.905, abs=0.02)  # exp(-0.1)
-    along_0, along_1 = shrinking(duration).amounts(AROUND, {})
+    along_0, along_1 = shrinking(duration).amounts(AROUND, {}, AROUND.frame_times())
     assert along_0 == ("axis 0", pytest.approx(100 * (2.718281828**-0.1 - 1)), "%")
     assert along_1 == ("axis 1", 0.0, "%")
 
@@ -87,8 +87,9 @@ def test_steady_forces_leave_the_mean_to_the_wind() -> None:
     weights[:, [0, -1]] *= 0.5
     mean = (weights.reshape(-1, 1) * field[0]).sum(0)
     torch.testing.assert_close(mean, torch.zeros(3, dtype=torch.float64), atol=1e-9, rtol=0)
-    (size,) = effect.amounts(AROUND, {})
-    assert size.value == pytest.approx(float(field[0].square().sum(-1).mean().sqrt()))
+    (size,) = effect.amounts(AROUND, {}, AROUND.frame_times())
+    weights = weights.reshape(-1) / weights.sum()
+    assert size.value == pytest.approx(float((weights @ field[0].square().sum(-1)).sqrt()))
 
 
 class TestPressure:
@@ -132,7 +133,7 @@ class TestPressure:
         assert int(longer.values.count_nonzero()) == 2
 
     def test_it_is_measured_per_mass_of_an_area(self) -> None:
-        mean, deviation = self.effect().amounts(AROUND, {})
+        mean, deviation = self.effect().amounts(AROUND, {}, AROUND.frame_times())
         # Three half waves do not end at their mean over the frames of a clip, which hold both ends.
         waves = torch.cos(3 * torch.pi * AROUND.frame_times() / self.DURATION)
         assert mean.value == pytest.approx(float((0.8 - 0.5 * waves).mean()))

@@ -215,6 +215,33 @@ def test_what_would_not_show_is_said_where_nothing_does(report: GapReport) -> No
         assert ("would not show tilted gravity, however strong" in text) is said
 
 
+def test_what_would_not_show_has_no_part_in_that_nothing_acts(report: GapReport) -> None:
+    """Answers that are one have their probability together, and each has its own in the table."""
+    own = {NONE: 0.5, "gravity_tilt": 0.4, UNKNOWN: 0.1}
+    classes = ((NONE, "gravity_tilt"),)
+    session = SessionAnswer(("a",), (5,), own, classes, {}, 1.0, unseen=("gravity_tilt",))
+    verdict = Verdict(NONE, (NONE, "gravity_tilt"), NONE, 0.9, "Because.", "")
+    found = dataclasses.replace(answered(report, verdict), session=session)
+    said = certainty(found)
+    assert "90 %" in said
+    assert "nothing is missing, or tilted gravity, which this clip would not show" in said
+    assert "Not excluded" not in said
+    table = words(body(found))
+    assert "nothing missing the answer 50 %" in table
+    assert "outside the catalogue 10 %" in table
+    alike = dataclasses.replace(
+        found,
+        verdict=Verdict("gusts", ("gusts", "air_drag", NONE), "actuation", 0.95, "Because.", ""),
+        session=dataclasses.replace(
+            session,
+            probabilities={"gusts": 0.5, "air_drag": 0.45, NONE: 0.05},
+            equivalence_classes=(("air_drag", "gusts"),),
+        ),
+    )
+    assert "it is one of gusts and air drag, which this clip cannot tell apart." in certainty(alike)
+    assert certainty(alike).endswith("Not excluded: nothing at all.")
+
+
 def test_no_gap_and_unknown_causes(report: GapReport) -> None:
     quiet = tuple(dataclasses.replace(e, probability=0.001) for e in report.effects)
     for name, title in ((NONE, "nothing missing"), (UNKNOWN, "outside the catalogue")):
@@ -348,6 +375,9 @@ def test_a_clip_that_fits_have_seen_is_not_called_unseen() -> None:
         for held in ("pieces of 12 frames", "the last clip")
     )
     assert "no fit has seen" not in seen
+    gusts = shrinkage(dataclasses.replace(SHRINK, held_out="the last clip"), "gusts")
+    assert "which no fit has seen but that of its own gusts," in gusts
+    assert "of its own" not in shrinkage(dataclasses.replace(SHRINK, held_out="the last clip"), "air_drag")
     assert "no fit has seen" in unseen
 
 

@@ -27,7 +27,7 @@ NAME = "rest_length_drift"
 
 ENERGIES = SimpleNamespace(parameters=SimpleNamespace(names=("bending",)))
 SIMULATOR = SimpleNamespace(cloth=SimpleNamespace(energies=ENERGIES))
-CLIP = SimpleNamespace(around=None, shooting=SimpleNamespace(simulator=SIMULATOR))
+CLIP = SimpleNamespace(around=None, known_times=None, shooting=SimpleNamespace(simulator=SIMULATOR))
 MODEL: Any = SimpleNamespace(fitting=SimpleNamespace(clips=[CLIP], start=np.array([2e-4])))
 
 
@@ -38,7 +38,9 @@ class Drift:
     scales = torch.ones(2, dtype=torch.float64)
 
     def with_values(self, values: torch.Tensor) -> Any:
-        return SimpleNamespace(amounts=lambda around, material: (Amount("first", float(values[0]), "m"),))
+        return SimpleNamespace(
+            amounts=lambda around, material, times: (Amount("first", float(values[0]), "m"),)
+        )
 
 
 def evidence_of(motion: MotionEvidence, logits: dict[str, float]) -> SessionEvidence:

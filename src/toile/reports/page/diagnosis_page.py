@@ -163,7 +163,13 @@ class DiagnosisPage:
 
     def _without_effect(self) -> list[tuple[str, float, bool]]:
         """The hypotheses that are no effects: name, probability as far as known, whether the answer."""
-        verdict = self.report.verdict
+        verdict, session = self.report.verdict, self.report.session
+        if session is not None and session.probabilities and verdict.effect in (NONE, UNKNOWN):
+            names = (verdict.effect, UNKNOWN if verdict.effect == NONE else NONE)
+            return [
+                (plain_name(name), session.probabilities.get(name, 0.0), name == verdict.effect)
+                for name in names
+            ]
         rest = max(0.0, 1 - sum(e.probability for e in self.report.effects))
         if verdict.effect not in (NONE, UNKNOWN):
             return [("nothing missing, or outside the catalogue", rest, False)]
