@@ -176,8 +176,8 @@ def markdown(table: pd.DataFrame, every: pd.DataFrame) -> str:
             "answered before its label was opened, by the version of its day; versions differ, and each set "
             "has taught those after it, so this is a record and no measurement of one "
             f"method ([that]({LAST_STEM}.md)). Value [95 % interval], sessions. With few sessions the "
-            "calibration error comes out too large. Maps of Blender's sessions are left out: their labels "
-            "named the vertices that move, not those that the cause acts on.",
+            "calibration error comes out too large. Maps of Blender's earlier sessions are left out: their "
+            "labels named the vertices that move, not those that the cause acts on.",
             aims_section(table[table["version"] == NOW], f"Against the aims, {NOW}"),
             *scenes,
             *parts,

@@ -415,7 +415,8 @@ def page(table: pd.DataFrame) -> str:
         ]
     lines += [counts.rename_axis("rung").reset_index().to_markdown(index=False), ""]
     lines += [
-        f"Without {' and '.join(WITHOUT_TRACE)}: the former is a wind, the latter is seen in images. "
+        f"Sessions whose cause is {' or '.join(WITHOUT_TRACE)} do not count: the former is a wind, the "
+        "latter is seen in images. "
         "Damping, which the base model has where a clip shows it, counts as an effect only where it is the "
         "cause; its gain is against a model without.",
         "",

@@ -6,9 +6,9 @@ Keys of the file:
   ``shrink`` and ``gap`` in ``effects``, which no diagnosis has ever filled (they ask for the truth, and for a
   simulation that a diagnosis does not do); both are dropped.
 - ``verdict``: ``effect`` (a catalogue name, ``none``, ``ambiguous`` or ``unknown``), ``candidates``,
-  ``stage``, ``probability``, ``reason``, ``next_recording``
+  ``stage``, ``probability``, ``reason``, ``next_recording``, ``also`` (a second effect)
 - ``where``: ``stages`` {name: share}, ``frames`` [score], ``vertices`` (path of an (H, W) array beside the
-  file), ``regimes`` {name: score}
+  file), ``regimes`` {name: score}, ``acts_on`` (the same of where the effect acts)
 - ``effects``: [{``name``, ``stage``, ``probability``, ``parameters`` {name: {``estimate``, ``low``, ``high``,
   ``unit``}}, ``shrink`` {``metric``, ``held_out``, ``base``, ``with_effect``, ``estimate``, ``low``,
   ``high``, ``best_placebo``}, ``amounts`` as ``parameters``}], most probable first
@@ -20,7 +20,9 @@ Keys of the file:
   number}, ``equivalence_classes`` [[name]], ``material`` {name: number}, ``left``, ``next_clip``,
   ``expected_information`` {motion: number}, ``obstacles`` {clip: {``point``, ``normal``
   or ``centre``, ``radius``}}, ``stand_ins`` {name: {``probability``, ``moves``, ``found`` {name: number}}},
-  ``resized`` {clip: share}, ``covered`` {clip: {``share``, ``first``, ``last``}}, ``unseen`` [name]
+  ``resized`` {clip: share}, ``covered`` {clip: {``share``, ``first``, ``last``}}, ``unseen`` [name],
+  ``moved_by`` (name), ``moved`` [widths, by frame], ``beside`` {name: number} (probabilities beside
+  ``first``), ``first``, ``second`` (names)
 
 Numbers that do not exist are null. Keys that are not listed are refused: a typing error must not pass for a
 missing answer.
