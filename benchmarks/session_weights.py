@@ -113,8 +113,10 @@ def cases_of(table: pd.DataFrame) -> list[SessionCase]:
             if name in STAND_INS and _FREED_SIZE in row
         }
         sizes = {n: max(one, freed_sizes.get(n, one)) for n, one in evidence.sizes.items()}
-        resized = float(seen[session]) if session in seen.index else None
-        evidence = replace(evidence, sizes=sizes, resized=resized)
+        resized = _looked(own, "resized")
+        if resized is None and session in seen.index:
+            resized = float(seen[session])
+        evidence = replace(evidence, sizes=sizes, resized=resized, covered=_looked(own, "covered"))
         if "outside drop" in own:
             freed = by_name[by_name["outside drop"].notna()]
             outside = {str(name): _effect(row, "outside ") for name, row in freed.iterrows()}
@@ -168,6 +170,8 @@ def _rows(run: Path, session: str, engine: str, cause: str, rung: str) -> list[d
             "cost of errors": evidence.base.cost,
             "expected cost": evidence.base.expected,
             "share": evidence.base.share,
+            "resized": float("nan") if evidence.resized is None else evidence.resized,
+            "covered": float("nan") if evidence.covered is None else evidence.covered,
             "effect": name,
             **evidence_columns(one),
             "moves the cloth by [% of the width]": 100 * sizes.get(name, float("nan")),
@@ -176,6 +180,12 @@ def _rows(run: Path, session: str, engine: str, cause: str, rung: str) -> list[d
         }
         for name, one in evidence.effects.items()
     ]
+
+
+def _looked(own: pd.DataFrame, key: str) -> float | None:
+    """What the cloth looks like; None where that was not kept, or not found."""
+    value = float(own[key].iloc[0]) if key in own else float("nan")
+    return None if np.isnan(value) else value
 
 
 def _effect(row: pd.Series, which: str = "") -> EffectEvidence:

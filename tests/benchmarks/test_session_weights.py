@@ -25,13 +25,14 @@ def program(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return importlib.import_module("session_weights")
 
 
-def diagnosed(folder: Path, drag: float) -> None:
-    """A diagnosis whose drag lowers the misfit by so many nats."""
+def diagnosed(folder: Path, drag: float, covered: float | None = None) -> None:
+    """A diagnosis whose drag lowers the misfit by so many nats, a share of the cloth's print hidden."""
     drop = EffectEvidence.of(drag, np.array([1.0]), np.array([[0.01]]), 10.0)
     folder.mkdir(parents=True)
-    MotionEvidence(ModelErrors(100.0, 120.0, 0.001), {"air_drag": drop}, sizes={"air_drag": 0.03}).write(
-        folder / EVIDENCE_FILE
+    motion = MotionEvidence(
+        ModelErrors(100.0, 120.0, 0.001), {"air_drag": drop}, sizes={"air_drag": 0.03}, covered=covered
     )
+    motion.write(folder / EVIDENCE_FILE)
 
 
 def test_first_clip_and_session_are_two_cases(
@@ -42,7 +43,7 @@ def test_first_clip_and_session_are_two_cases(
     pd.DataFrame([about]).to_csv(marks, index=False)
     for clips, drag in ((1, 20.0), (3, 50.0), (3, 60.0)):
         answers = tmp_path / f"{clips}_{drag:g}"
-        diagnosed(answers / "abc123", drag)
+        diagnosed(answers / "abc123", drag, covered=None if clips == 1 else 0.07)
         given = ["--clips", str(clips), "--graded", f"{answers}={marks}", "--into", str(table)]
         monkeypatch.setattr(sys, "argv", ["session_weights.py", *given])
         program.main()
@@ -52,3 +53,5 @@ def test_first_clip_and_session_are_two_cases(
     # Of the same clips the later answer is kept.
     assert one.evidence.effects["air_drag"].drop == pytest.approx(20.0)
     assert three.evidence.effects["air_drag"].drop == pytest.approx(60.0)
+    # What the cloth looks like decides as well.
+    assert (one.evidence.covered, three.evidence.covered) == (None, 0.07)

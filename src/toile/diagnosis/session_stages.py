@@ -117,15 +117,16 @@ class RefinedMotion:
             (P + 2 C,), where fits begin; None where none was fitted.
         error: of the base model on it, root mean square over the cloth's width; None: as the settings say.
         velocities: of every clip on the model's grid (F, N, 3) [m/s], where fits begin; None: as tracked.
-        unknowns: of the windows of every clip (W, n_local), in units of their deviations from positions and
-            velocities, where fits without forces of their own begin; None: none.
+        unknowns: of every window of every clip (n_local,), in units of their deviations from positions and
+            velocities, where fits without forces of their own begin; None: none. A last window may be shorter
+            and have fewer.
     """
 
     positions: list[Array]
     values: Array | None
     error: float | None = None
     velocities: list[Array] | None = None
-    unknowns: list[Array] | None = None
+    unknowns: list[list[Array]] | None = None
 
 
 class SessionModel:
@@ -367,7 +368,7 @@ def with_error_found(
         base = fitting.fitted((), start, workers)
         found = model.errors(base).found
         # The windows refer to the same motion as before, so what they differ by is kept, and not their speed.
-        unknowns = [np.stack([window.standardised for window in windows]) for windows in base.windows]
+        unknowns = [[window.standardised for window in windows] for windows in base.windows]
         motion = replace(motion, error=found, values=base.values, unknowns=unknowns)
     return motion
 

@@ -15,7 +15,8 @@ import toile.diagnosis.session_stages as stages
 from toile.diagnosis.model_grid import spline_matrix
 from toile.diagnosis.problem import DiagnosisProblem
 from toile.diagnosis.session_settings import RefiningSettings, SessionSettings
-from toile.diagnosis.session_stages import RefinedMotion, SessionModel, refined_motion
+from toile.diagnosis.session_stages import RefinedMotion, SessionModel, refined_motion, with_error_found
+from toile.diagnosis.stored_values import ValueStore
 from toile.workers import ALONE
 
 WIDTH = 0.5
@@ -164,3 +165,21 @@ def test_what_a_coarse_grid_cannot_have_of_a_motion_stays() -> None:
         without = SessionModel.refined(model, fit)
     np.testing.assert_allclose(with_details.positions[0], creased + moved, atol=1e-12)
     assert np.abs(without.positions[0] - (creased + moved)).max() > 0.002
+
+
+def test_a_shorter_last_window_keeps_its_own_unknowns(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Windows longer than the knots of the corners' paths have fewer of them where the clip ends."""
+    windows = [SimpleNamespace(standardised=np.full(n, float(n))) for n in (9, 9, 6)]
+    base = SimpleNamespace(values=np.zeros(5), windows=[windows])
+    fitting = SimpleNamespace(start_fit=lambda workers: None, fitted=lambda *given: base)
+    model = SimpleNamespace(fitting=fitting, errors=lambda fit: SimpleNamespace(found=0.001))
+    monkeypatch.setattr(stages, "SessionModel", lambda *given: model)
+    motion = RefinedMotion([TRUE], None)
+    found = with_error_found([], motion, replace(SETTINGS, error_rounds=1), (850.0, 0.5, 0.005), ALONE)
+    assert found.unknowns is not None
+    assert [len(own) for own in found.unknowns[0]] == [9, 9, 6]
+    # It goes through the store as it is.
+    store = ValueStore((RefinedMotion,))
+    again = store.value(store.flat(found))
+    for own, kept in zip(again.unknowns[0], found.unknowns[0], strict=True):
+        np.testing.assert_array_equal(own, kept)
