@@ -48,10 +48,11 @@ LATEST = (
     "third_effects",
     "fourteenth_medium",
     "second_short",
+    "fourth_effects",
 )
 """Sets answered since what the catalogue lacks has stand-ins, and contact is a candidate."""
-LAST = ("third_effects", "fourteenth_medium", "second_short")
-"""Those of them answered by the last method: begun anew with the first set that another one answers."""
+LAST = ("third_effects", "fourteenth_medium", "second_short", "fourth_effects")
+"""Those of them answered by the last method, but for one rule, see ``last_page``."""
 OF_CAUSES = ("second_effects", *LAST)
 """Sets whose labels of Blender's scenes name the vertices that an effect acts on. Before they named those
 that move, and any map of a drag had 0.8: such marks count no more."""
@@ -191,12 +192,13 @@ def last_page(table: pd.DataFrame, every: pd.DataFrame) -> str:
     own = every[every["set"].isin(LAST) & (every["clips"] != SCENE)]
     return "\n\n".join(
         (
-            "# Sealed sessions by one version",
-            f"Made by `make blind-sessions-pooled` from the marks of {_sets(own)}, all answered by one "
-            "version, which each page names, every session before its label was opened. After them an effect "
-            "that another one refutes speaks for `none` no more, by which one answer would be another, so it "
-            f"is not quite what is there today. All versions: [the record]({STEM}.md). Value [95 % "
-            "interval], sessions. With few sessions the calibration error comes out too large.",
+            "# Sealed sessions by one method",
+            f"Made by `make blind-sessions-pooled` from the marks of {_sets(own)}, every session answered "
+            "before its label was opened, by the version that its page names. They differ in one rule: since "
+            "[fourth effects](blind_sessions_fourth_effects.md) an effect that another one refutes speaks for "
+            "`none` no more, by which one of the nine answers before would be another. All versions: [the "
+            f"record]({STEM}.md). Value [95 % interval], sessions. With few sessions the calibration error "
+            "comes out too large.",
             aims_section(table),
             _section(table, ""),
             "",
