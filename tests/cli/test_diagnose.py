@@ -419,8 +419,9 @@ def test_clips_of_a_session_have_one_answer(
     assert all(shrink.held_out == "the last clip" for shrink in shrunk)
     assert (tmp_path / report.where.vertices).is_file()
     # A word that nobody knows says nothing, and that is said.
-    (warning,) = report.warnings
+    warning, copied = report.warnings
     assert "second: its motion 'fan-off' is none of" in warning
+    assert copied.startswith("second: its images are those of first")
     assert warning in capsys.readouterr().err
     assert warning in (tmp_path / "index.html").read_text().replace("&#39;", "'")
     answer = (tmp_path / DIAGNOSIS_FILE).read_bytes()

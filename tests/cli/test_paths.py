@@ -13,7 +13,7 @@ import torch
 import yaml
 from PIL import Image
 
-from toile.cli.configuration import name_scenes
+from toile.cli.configuration import name_scenes, name_sessions
 from toile.cli.path_arguments import quote_paths
 from toile.geometry.io import write_point_cloud
 from toile.learning.fit.module import FitModule
@@ -276,6 +276,23 @@ def test_names_of_scenes(scene, names, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "there,too").mkdir()
     assert name_scenes([f"scene={scene}"]) == ["scene=native", f"scene.name={names}"]
+
+
+@pytest.mark.parametrize(
+    ("given", "session"),
+    [(["session=mine"], "mine"), (["session=mine", "session=other"], "other"), (["session='a,b'"], "a,b")],
+)
+def test_a_session_is_found_again_from_anywhere(given, session, tmp_path: Path, monkeypatch) -> None:
+    """``resume=`` reads what the command line had said, wherever it is called."""
+    monkeypatch.chdir(tmp_path)
+    whole = tmp_path / session
+    assert name_sessions(["seed=1", *given]) == ["seed=1", f"session='{whole}'", f"scene.name='{whole}'"]
+
+
+def test_every_job_of_a_sweep_is_called_after_its_own_session() -> None:
+    assert name_sessions(["session=mine,other"]) == ["session=mine,other", "scene.name=${session}"]
+    assert name_sessions(["session=mine", "scene=R1"]) == ["session=mine", "scene=R1"]
+    assert name_sessions(["session=null"]) == ["session=null"]
 
 
 def test_a_switch_is_no_path(toile) -> None:

@@ -88,14 +88,23 @@ def name_scenes(arguments: Sequence[str]) -> list[str]:
 
 
 def name_sessions(arguments: Sequence[str]) -> list[str]:
-    """Let ``session=`` name a scene as well where none is named: run folders are called after it."""
+    """Let ``session=`` name a scene as well where none is named: run folders are called after it.
+
+    A session's path becomes absolute, as ``resume=`` may be called from anywhere. Of a sweep every job has
+    its own.
+    """
     pairs = [argument.partition("=") for argument in arguments]
     named = [value for key, _, value in pairs if key == "session" and value not in ("", "null")]
     if not named or any(key in ("scene", "scene.name") for key, _, _ in pairs):
         return list(arguments)
-    path = parsed(named[0]) if _HYDRA_SYNTAX.search(named[0]) else None
-    text = path.text if isinstance(path, QuotedString) else named[0]
-    return [*arguments, f"scene.name={quoted(str(Path(text).expanduser().resolve()))}"]
+    # Of several the last one counts.
+    path = parsed(named[-1]) if _HYDRA_SYNTAX.search(named[-1]) else None
+    text = path.text if isinstance(path, QuotedString) else named[-1]
+    if "," in text and not isinstance(path, QuotedString) and not Path(text).expanduser().exists():
+        return [*arguments, "scene.name=${session}"]
+    whole = quoted(str(Path(text).expanduser().resolve()))
+    others = [argument for argument, (key, _, _) in zip(arguments, pairs, strict=True) if key != "session"]
+    return [*others, f"session={whole}", f"scene.name={whole}"]
 
 
 def renamed_arguments(arguments: Sequence[str], aliases: Sequence[tuple[str, str]]) -> list[str]:

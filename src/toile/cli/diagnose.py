@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -106,13 +107,13 @@ def finished_diagnosis(
     write_git_revision(folder)
     try:
         report = problem.diagnosed(folder.path, progress)
+        progress("done", 1.0)
+        arrays = DiagnosisArrays.read(folder.path, report)
+        write_diagnosis_dashboard(folder.path / "tensorboard", report, arrays)
+        write_diagnosis_page(folder.page, report, arrays, problem.scene, problem.name)
     except KeyboardInterrupt:
-        print_path(f"toile diagnose resume={folder.path}", " continues")
+        print_path(shlex.join(("toile", "diagnose", f"resume={folder.path}")), " continues")
         raise
-    progress("done", 1.0)
-    arrays = DiagnosisArrays.read(folder.path, report)
-    write_diagnosis_dashboard(folder.path / "tensorboard", report, arrays)
-    write_diagnosis_page(folder.page, report, arrays, problem.scene, problem.name)
     return report
 
 
@@ -332,7 +333,7 @@ def session_problem(cfg: DictConfig) -> SessionProblem:
     """
     # The command line calls run folders after the session, see name_sessions.
     own = str(Path(str(cfg.session)).expanduser().resolve())
-    if not OmegaConf.is_missing(cfg.scene, "name") and str(cfg.scene.name) != own:
+    if not OmegaConf.is_missing(cfg.scene, "name") and str(cfg.scene.name) not in (own, str(cfg.session)):
         raise InputError(
             "Either a scene or a session is diagnosed",
             where="command line",
@@ -413,7 +414,7 @@ def _clip_problem(cfg: DictConfig) -> _Problem:
     warnings = scene_warnings(scene, force=cfg.force)
     recipe = instantiate(cfg.optimization)
     # candidates.<name>=null takes one out.
-    effects = tuple(e for e in (instantiate(cfg.candidates) or {}).values() if e is not None)
+    effects = tuple(e for e in (instantiate(cfg.get("candidates")) or {}).values() if e is not None)
     settings = instantiate(cfg.diagnosis)
     # The stiffness is that of the settings, in SI units: the diagnosis puts it in.
     make_parameters = partial(ClothParameters, stretching=1.0, shearing=1.0, bending=1.0)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from toile.diagnosis.joint_fit import JointFit
 from toile.diagnosis.session_stages import SeenClip
 from toile.generation.clip_plan import MOTIONS
+from toile.scenes.scene import Scene
 from toile.scenes.session import Session
 
 Array = NDArray[np.float64]
@@ -18,6 +19,9 @@ _AT_REST = 2.0
 """Memory of a diagnosis before its clips are judged [GB]."""
 _MATRICES = 2.3
 """Matrices of 3 N x 3 N numbers that are kept of every frame, N the vertices of the model."""
+
+_ALIKE = 0.01
+"""Share by which frame rates and focal lengths of one device may differ."""
 
 _MOVED = 0.01
 """Share of the cloth's width by which what holds it moves where somebody moves it."""
@@ -30,6 +34,46 @@ def unknown_motions(session: Session) -> list[str]:
         "known of what blew or moved the corners"
         for name, clip in zip(session.clip_names, session.clips, strict=True)
         if clip.motion and clip.motion not in MOTIONS
+    ]
+
+
+def unlike_devices(session: Session, scenes: Sequence[Scene]) -> list[str]:
+    """One sentence for every clip whose camera is not that of the first clip of the device that filmed it.
+
+    Args:
+        session: the clips.
+        scenes: of each.
+    """
+    found: list[str] = []
+    first: dict[str, tuple[str, Scene]] = {}
+    for name, clip, scene in zip(session.clip_names, session.clips, scenes, strict=True):
+        other, known = first.setdefault(clip.device, (name, scene))
+        pairs = {
+            "frames per second": (scene.fps, known.fps),
+            "px of focal length": (scene.camera.fx, known.camera.fx),
+        }
+        found += [
+            f"{name}: {value:.5g} {what} where {other} has {before:.5g}, though both are said to be of one "
+            f"device ({clip.device!r}), whose clock and lens they would share: say device: in session.yaml"
+            for what, (value, before) in pairs.items()
+            if abs(value / before - 1) > _ALIKE
+        ]
+    return found
+
+
+def copied_clips(session: Session, scenes: Sequence[Scene]) -> list[str]:
+    """One sentence for every clip whose images are those of another one.
+
+    Args:
+        session: the clips.
+        scenes: of each.
+    """
+    return [
+        f"{name}: its images are those of {session.clip_names[k]}, so its evidence counts twice"
+        for n, name in enumerate(session.clip_names)
+        for k in range(n)
+        if scenes[n].frames.shape == scenes[k].frames.shape
+        and bool((scenes[n].frames == scenes[k].frames).all())
     ]
 
 

@@ -6,6 +6,7 @@ import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +30,7 @@ from toile.diagnosis.holder_slips import which_slips, with_slips
 from toile.diagnosis.joint_fit import JointFit, JointFitting
 from toile.diagnosis.learned.decision import WEIGHTS, LearnedDecision
 from toile.diagnosis.learned.features import clip_features
+from toile.diagnosis.learned.motion import long_enough
 from toile.diagnosis.left_out import LeftOut, left_out_shrinks
 from toile.diagnosis.next_clip import expected_gains
 from toile.diagnosis.occlusion import OcclusionSettings, hidden_shares, lasting
@@ -51,7 +53,14 @@ from toile.diagnosis.record import (
 from toile.diagnosis.results import KINDS
 from toile.diagnosis.second_effect import EffectsBeside, SecondEffect
 from toile.diagnosis.session_alias import SessionAlias, session_alias
-from toile.diagnosis.session_checks import moved_holders, short_of_memory, stopped_short, unknown_motions
+from toile.diagnosis.session_checks import (
+    copied_clips,
+    moved_holders,
+    short_of_memory,
+    stopped_short,
+    unknown_motions,
+    unlike_devices,
+)
 from toile.diagnosis.session_evidence import (
     SessionEvidence,
     promising,
@@ -115,9 +124,6 @@ _COVERED = (
 )
 
 _UNCOVERED = "the same clip with masks that leave out what passes before the cloth, or one without it"
-
-_FEWEST = 24
-"""Frames of a clip that the learned decision looks at."""
 
 
 @dataclass(frozen=True)
@@ -195,7 +201,9 @@ def diagnose_session(
     n_frames = sum(problem.scene.n_frames for problem in problems)
     n_vertices = int(np.prod([min(together.side, side) for side in problems[0].scene.grid]))
     _said(short_of_memory(n_frames, n_vertices, psutil.virtual_memory().available / 1e9))
-    remarkable = _said(unknown_motions(session))
+    scenes = [problem.scene for problem in problems]
+    checks = (unlike_devices(session, scenes), copied_clips(session, scenes))
+    remarkable = _said([*unknown_motions(session), *chain.from_iterable(checks)])
     clips = seen_clips(problems, devices, pipeline, progress, motions)
 
     made_from = {
@@ -438,8 +446,8 @@ def stand_in_sizes(sizes: Mapping[str, float], outside: OutsideCauses) -> dict[s
 
 
 def learned_chances(clips: Sequence[SeenClip], motion: RefinedMotion) -> dict[str, float] | None:
-    """Probabilities of the learned decision; None without weights, or for clips shorter than its own."""
-    if not WEIGHTS.is_file() or min(clip.n_frames for clip in clips) < _FEWEST:
+    """Probabilities of the learned decision; None without weights, or for clips that are too short for it."""
+    if not WEIGHTS.is_file() or not all(long_enough(c.n_frames, c.problem.scene.fps) for c in clips):
         return None
     features = []
     for clip, refined in zip(clips, motion.positions, strict=True):

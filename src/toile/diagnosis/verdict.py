@@ -13,7 +13,7 @@ from toile.diagnosis.decision import NONE, UNKNOWN, Calibration, confidence_set
 from toile.diagnosis.record import AMBIGUOUS, Shrink, Verdict
 from toile.diagnosis.recordings import next_recording
 from toile.effects.base import Stage
-from toile.effects.catalogue import STAGES
+from toile.effects.catalogue import OUTLINED, STAGES
 from toile.limits import Fraction, NonNegative
 
 
@@ -79,8 +79,11 @@ def verdict_of(
     if clear and first != NONE:
         # Another stage leaves a trace of its own: both act. What is unknown is missing in the motion.
         own = STAGES.get(first, Stage.MECHANICS)
+        rivals = OUTLINED if first in OUTLINED else ()
         others = {
-            name: calibration.score(name, value) for name, value in evidence.items() if STAGES[name] != own
+            name: calibration.score(name, value)
+            for name, value in evidence.items()
+            if STAGES[name] != own and name not in rivals
         }
         strongest = max(others, key=lambda name: others[name], default=None)
         if strongest is not None and others[strongest] > settings.beside * calibration.threshold:

@@ -9,7 +9,7 @@ from types import MappingProxyType
 from toile.effects.air_drag import AirDrag
 from toile.effects.anchor_slip import AnchorSlip
 from toile.effects.anisotropic_stiffness import AnisotropicStiffness
-from toile.effects.base import Effect, Stage
+from toile.effects.base import CameraEffect, Effect, MaskEffect, Stage
 from toile.effects.contact import Contact
 from toile.effects.focal_error import FocalError
 from toile.effects.frame_rate import FrameRate
@@ -57,6 +57,9 @@ CATALOGUE: Mapping[str, type[Effect]] = MappingProxyType(_EFFECTS)
 _STAGES: dict[str, Stage] = {name: effect.STAGE for name, effect in _EFFECTS.items()}
 STAGES: Mapping[str, Stage] = MappingProxyType(_STAGES)
 """Stage of every effect by name."""
+
+OUTLINED = tuple(name for name, effect in _EFFECTS.items() if issubclass(effect, CameraEffect | MaskEffect))
+"""Effects that are read from one outline: rivals, whichever stage they are of."""
 
 OUTSIDE = ("air_drag", "gusts", "gravity_tilt", "nonuniform_density", "frame_rate", "contact")
 """Effects that change the balance of inertia, gravity and forces from outside; all others that move the cloth

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -88,10 +89,10 @@ def load_session(folder: Path | str) -> Session:
     Raises:
         InputError: there is no such file, or anything in it is wrong.
     """
-    path = Path(folder)
+    path = Path(folder).expanduser()
     path = path if path.name == SESSION_FILE else path / SESSION_FILE
     try:
-        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+        values = yaml.load(path.read_text(encoding="utf-8"), _KeysOnce)
         found = _File.model_validate(values)
     except OSError as error:
         raise _wrong(path, f"{type(error).__name__}: {error.strerror or error}") from error
@@ -99,7 +100,14 @@ def load_session(folder: Path | str) -> Session:
         raise _wrong(path, " ".join(str(error).split())[:200]) from error
     except ValidationError as error:
         first = error.errors()[0]
-        raise _wrong(path, f"{place(first['loc']) or 'the file'}: {first['msg']}") from error
+        at = place(first["loc"]) or "the file"
+        if first["type"] == "extra_forbidden":
+            keys = _Clip.model_fields if len(first["loc"]) > 1 else _File.model_fields
+            raise _wrong(path, at, f"no other keys than {', '.join(keys)}") from error
+        if first["type"] == "model_type":
+            raise _wrong(path, f"{at}: {first['input']!r}"[:100]) from error
+        said = first["msg"].removeprefix("Input should be ")
+        raise _wrong(path, f"{at}: {first['input']!r}"[:100], said) from error
     clips = tuple(
         SessionClip(path.parent / clip.scene, clip.motion, clip.device, tuple(clip.changed))
         for clip in found.clips
@@ -167,10 +175,21 @@ class _File(BaseModel):
     clock: bool = False
 
 
-def _wrong(path: Path, got: str) -> InputError:
-    return InputError(
-        "No session can be read",
-        where=str(path),
-        expected="clips: a list of entries with scene: <folder of a native scene>; see docs/diagnosis",
-        got=got,
-    )
+_EXPECTED = "clips: a list of entries with scene: <folder of a native scene>; see docs/diagnosis/usage.md"
+
+
+def _wrong(path: Path, got: str, expected: str = _EXPECTED) -> InputError:
+    return InputError("No session can be read", where=str(path), expected=expected, got=got)
+
+
+class _KeysOnce(yaml.SafeLoader):
+    """Refuses a key that is given twice: the second clip of an entry without its dash replaced the first."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        keys = [self.construct_object(key, deep=True) for key, _ in node.value]
+        twice = next((key for key in keys if keys.count(key) > 1), None)
+        if twice is not None:
+            raise yaml.constructor.ConstructorError(
+                None, None, f"'{twice}' is given twice; every clip begins with a dash", node.start_mark
+            )
+        return super().construct_mapping(node, deep)

@@ -12,12 +12,14 @@ import torch
 
 from toile.diagnosis.joint_fit import JointFit
 from toile.diagnosis.session_checks import (
+    copied_clips,
     holders_away,
     moved_holders,
     short_of_memory,
     stand_still,
     stopped_short,
     unknown_motions,
+    unlike_devices,
 )
 from toile.scenes.session import Session, SessionClip
 
@@ -92,3 +94,22 @@ def test_what_may_be_ended_without_a_word_is_said_before(n_frames: int, measured
     (said,) = short_of_memory(n_frames, 400, 0.5 * measured)
     assert f"{n_frames} frames" in said
     assert f"{0.5 * measured:.1f} GB are free" in said
+
+
+def test_clips_of_one_device_share_clock_and_lens() -> None:
+    frames = torch.rand(3, 4, 4, 3, generator=torch.Generator().manual_seed(1))
+
+    def filmed(fps: float, focal: float, images: torch.Tensor = frames) -> Any:
+        return SimpleNamespace(fps=fps, camera=SimpleNamespace(fx=focal), frames=images)
+
+    def of(*devices: str) -> Session:
+        clips = [SessionClip(Path(f"clip_{k}"), "shake", device) for k, device in enumerate(devices)]
+        return Session("s", tuple(clips))
+
+    scenes = [filmed(50.0, 800.0), filmed(50.0, 801.0, 1 - frames), filmed(25.0, 1200.0)]
+    rate, focal = unlike_devices(of("phone", "phone", "phone"), scenes)
+    assert rate.startswith("clip_2: 25 frames per second where clip_0 has 50")
+    assert focal.startswith("clip_2: 1200 px of focal length")
+    assert unlike_devices(of("phone", "phone", "camera"), scenes) == []
+    (copied,) = copied_clips(of("phone", "phone", "camera"), scenes)
+    assert copied == "clip_2: its images are those of clip_0, so its evidence counts twice"

@@ -68,6 +68,23 @@ def test_what_is_wrong_is_said(folder: Path, text: str, got: str) -> None:
         load_session(folder)
 
 
+def test_a_forgotten_dash_loses_no_clip(folder: Path) -> None:
+    """Of equal keys YAML keeps the last one: a session of two clips was one of the second."""
+    text = "clips:\n  - scene: first\n    motion: hang\n    scene: second\n    motion: shake\n"
+    (folder / "session.yaml").write_text(text)
+    with pytest.raises(InputError) as caught:
+        load_session(folder)
+    assert "'scene' is given twice" in caught.value.got
+
+
+def test_a_key_that_is_none_is_answered_with_those_that_are(folder: Path) -> None:
+    (folder / "session.yaml").write_text("clips:\n  - scene: first\n    motoin: hang\n")
+    with pytest.raises(InputError) as caught:
+        load_session(folder)
+    assert caught.value.got == "clips[0].motoin"
+    assert caught.value.expected == "no other keys than scene, motion, device, changed"
+
+
 def test_a_missing_file_is_said(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="No such file"):
         load_session(tmp_path)

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from toile.diagnosis.learned.motion import Motion, basis
+from toile.diagnosis.learned.motion import Motion, basis, used_frames
 
 Array = NDArray[np.float64]
 
@@ -26,14 +26,14 @@ class Fields:
 
     @cached_property
     def frames(self) -> slice:
-        """Local polynomials are good for little at the ends of a clip."""
-        n = max(self.motion.window // 2 - 1, 1)
-        return slice(n, len(self.motion.raw) - n, self.stride)
+        """See used_frames."""
+        used = used_frames(len(self.motion.raw), self.motion.window)
+        return slice(used.start, used.stop, used.step)
 
     @property
     def stride(self) -> int:
-        """Frames between two that are used: smoothed ones tell the same as their neighbours."""
-        return max(1, self.motion.window // 4)
+        """Frames between two that are used."""
+        return int(self.frames.step)
 
     @property
     def interval(self) -> float:

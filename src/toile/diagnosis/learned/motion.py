@@ -24,7 +24,28 @@ TEST_DEGREE = 4
 """Of the test functions."""
 _POINTS = 10  # of Gauss and Legendre per side: products of up to degree 19 are integrated exactly
 _WINDOW = 0.18  # s; local polynomials of third order in time
+_FEWEST = 24  # frames of a clip
+_FEWEST_USED = 8  # of them that are looked at
 _LEAST_FRAMES = 12
+
+
+def window_of(fps: float) -> int:
+    """Frames of a local polynomial, odd."""
+    return max(5, 2 * round(_WINDOW * fps / 2) + 1)
+
+
+def used_frames(n_frames: int, window: int) -> range:
+    """Frames of a clip that features look at.
+
+    Local polynomials are good for little at its ends, and smoothed frames tell the same as their neighbours.
+    """
+    n = max(window // 2 - 1, 1)
+    return range(n, n_frames - n, max(1, window // 4))
+
+
+def long_enough(n_frames: int, fps: float) -> bool:
+    """Whether features of a clip say something: 24 frames at 50 a second, more where they follow faster."""
+    return n_frames >= _FEWEST and len(used_frames(n_frames, window_of(fps))) >= _FEWEST_USED
 
 
 @dataclass(frozen=True)
@@ -129,7 +150,7 @@ class Motion:
     @property
     def window(self) -> int:
         """Frames of a local polynomial, odd."""
-        return max(5, 2 * round(_WINDOW * self.fps / 2) + 1)
+        return window_of(self.fps)
 
     @cached_property
     def rough(self) -> Array:

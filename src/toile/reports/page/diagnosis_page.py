@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -104,7 +105,7 @@ class DiagnosisPage:
             alias_matrix=alias_matrix(report.alias, self._chosen),
             # Cells that a number fits into; on a narrow screen the matrix is moved sideways.
             alias_width=CELL_WIDTH * len(report.alias.names) + 120,
-            alike=[[plain_name(n) for n in group] for group in report.alias.classes(ALIKE) if len(group) > 1],
+            alike=[[plain_name(n) for n in group] for group in self._alike if len(group) > 1],
             limits=self._limits(),
             facts=self._facts(),
             config=arrays.config,
@@ -117,6 +118,12 @@ class DiagnosisPage:
         if verdict.effect == AMBIGUOUS:
             return verdict.candidates
         return (verdict.effect, *([verdict.also] if verdict.also else []))
+
+    @property
+    def _alike(self) -> Sequence[Sequence[str]]:
+        """Names that are one answer."""
+        session = self.report.session
+        return self.report.alias.classes(ALIKE) if session is None else session.equivalence_classes
 
     @property
     def _motion(self) -> npt.NDArray[np.float64] | None:
@@ -218,13 +225,28 @@ class DiagnosisPage:
             found.append((plain_name(name), what, limit, unit))
         return found
 
+    def _frames(self) -> dict[str, str]:
+        """What was fitted, and what was not."""
+        protocol, session = self.report.protocol, self.report.session
+        if session is None:
+            return {
+                "frames used": frame_ranges(protocol.frames_used),
+                "frames held out": frame_ranges(protocol.frames_held_out),
+            }
+        clips = [f"{name} ({n} frames)" for name, n in zip(session.clips, session.frames, strict=True)]
+        material = [f"{name.replace('_', ' ')} {value:.3g}" for name, value in session.material.items()]
+        return {
+            "clips": ", ".join(clips),
+            "held out": "the last clip, for the prediction of it alone" if len(clips) > 1 else "",
+            "material of the base model [SI]": ", ".join(material),
+        }
+
     def _facts(self) -> dict[str, str]:
         report, screening = self.report, self.arrays.screening
         facts = {
             "reason": report.verdict.reason,
             "90 % confidence set": ", ".join(report.verdict.candidates),
-            "frames used": frame_ranges(report.protocol.frames_used),
-            "frames held out": frame_ranges(report.protocol.frames_held_out),
+            **self._frames(),
             "naive answer": f"{plain_name(report.protocol.naive)} (the largest drop of the training loss)"
             if report.protocol.naive
             else "",
@@ -266,6 +288,8 @@ def _calibration(report: GapReport) -> str:
     use = report.calibration
     if use is None:
         return ""
+    if report.session is not None:
+        return "; ".join(use.differences)
     name = use.file or "the package's own"
     if use.calibrated:
         return f"{name}, made with the same settings ({use.settings})"

@@ -13,7 +13,7 @@ from toile.diagnosis.learned.decision import LearnedDecision
 from toile.diagnosis.learned.features import GROUPS, clip_features
 from toile.diagnosis.learned.fields import Fields
 from toile.diagnosis.learned.measures import calibration_error
-from toile.diagnosis.learned.motion import observed_motion
+from toile.diagnosis.learned.motion import long_enough, observed_motion
 from toile.diagnosis.learned.trees import Trees, exported
 from toile.errors import InputError
 from toile.generation.fast.clips import LabelledClip, draw_batch
@@ -177,3 +177,30 @@ def _turned(clip: LabelledClip) -> list[int]:
     H, W = clip.positions.shape[1:3]
     index = np.arange(H * W).reshape(H, W)[::-1].T[::-1].ravel()
     return [int(np.flatnonzero(index == k)[0]) for k in clip.pinned]
+
+
+@pytest.mark.parametrize(
+    ("n_frames", "fps", "enough"),
+    [
+        (24, 50.0, True),
+        (23, 50.0, False),
+        (24, 25.0, True),
+        (24, 120.0, False),
+        (60, 240.0, False),
+        (160, 240.0, True),
+    ],
+)
+def test_frames_that_follow_fast_have_to_be_more(n_frames: int, fps: float, enough: bool) -> None:
+    """Slow motion of a telephone: 24 frames at 240 a second end within what is smoothed over."""
+    assert long_enough(n_frames, fps) is enough
+    if not enough:
+        return
+    rows, columns = np.meshgrid(np.linspace(0, 0.4, 8), np.linspace(0, 0.4, 8), indexing="ij")
+    times = np.arange(n_frames) / fps
+    waves = 0.02 * np.sin(12 * times[:, None, None] + 9 * rows)
+    positions = np.stack(
+        [np.broadcast_to(columns, waves.shape), np.broadcast_to(rows, waves.shape), 1 + waves], -1
+    )
+    found = clip_features(positions, [0, 7], fps, np.array([0.0, 9.81, 0.0]), (0.4, 0.4))
+    finite = [np.isfinite(value) for value in found.values()]
+    assert np.mean(finite) > 0.9
