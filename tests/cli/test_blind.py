@@ -247,7 +247,7 @@ def test_labels_are_true(blind) -> None:
         assert (moved == 0) == (effect == "none")
 
 
-def test_mistakes(blind) -> None:
+def test_mistakes(blind, toile) -> None:
     assert blind("peek").status == 2
     assert blind("grade", "key=nowhere.blindkey").status == 2
     assert blind("make", f"key={SET}/key.blindkey").status == 2
@@ -255,6 +255,8 @@ def test_mistakes(blind) -> None:
     assert blind("make", "composition=huge").status == 2
     assert blind("run", "diagnose=nothing.there").status == 2
     assert blind("make", "part=2", "parts=2").status == 2
+    assert toile("blind", "make", "set=sessions_tiny", "name=x", "clips=[wave]").status == 2
+    assert not Path("outputs/blind_keys/x.blindkey").exists()
 
 
 def test_the_tiny_set_through_the_real_diagnosis(toile) -> None:

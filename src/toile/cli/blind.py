@@ -139,6 +139,9 @@ def _make(cfg: DictConfig, blind: BlindSet) -> None:
         notes.append(f"the first {cfg.first} of {len(scenes)} scenes in the order of their names")
         scenes = scenes[: int(cfg.first)]
     names = tuple(scene.name for scene in scenes)
+    if not Path(cfg.key).is_file():
+        # What is refused leaves no key behind.
+        key.write(Path(cfg.key))
     _describe(cfg, blind, key, names, notes)
     small = min(setup.grid) < 16
     todo = [s for s in _part(cfg, scenes) if not blind.is_made(s.name)]
@@ -307,7 +310,7 @@ def _grade_sessions(cfg: DictConfig, blind: BlindSet) -> None:
 
 
 def _key_of(cfg: DictConfig, blind: BlindSet) -> SealKey:
-    """The set's key: the one there is, else a fresh one or that of the seed."""
+    """The set's key: the one there is, else a fresh one or that of the seed, which is not written yet."""
     path = Path(cfg.key)
     key = SealKey.read(path) if path.is_file() else None
     if key is None:
@@ -319,7 +322,6 @@ def _key_of(cfg: DictConfig, blind: BlindSet) -> SealKey:
                 got="no file",
             )
         key = SealKey.fresh() if cfg.seed is None else SealKey.of_seed(int(cfg.seed))
-        key.write(path)
     elif cfg.seed is not None and key.fingerprint != SealKey.of_seed(int(cfg.seed)).fingerprint:
         raise InputError(
             "The key that lies there is not that of the seed",

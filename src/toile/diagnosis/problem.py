@@ -65,7 +65,7 @@ class DiagnosisProblem:
         check_problem(reconstruction, effects, settings)
         self.reconstruction, self.scene = reconstruction, reconstruction.scene
         self.recipe, self.effects, self.settings = recipe, tuple(effects), settings
-        self.n_fitted = fitted_frames(self.scene.n_frames, settings.held_out, settings.fewest_frames)
+        self.n_fitted = fitted_frames(self.scene, settings.held_out, settings.fewest_frames)
         _start_material(reconstruction, settings.stiffness)
         self.made_from = _fingerprints(reconstruction, recipe)
         self.candidates = {"candidates": fingerprint(self.effects)}
@@ -133,11 +133,11 @@ class DiagnosisProblem:
         return shooting
 
 
-def fitted_frames(n_frames: int, held_out: float, fewest: int) -> int:
+def fitted_frames(scene: Scene, held_out: float, fewest: int) -> int:
     """Frames that are fitted; those after them are held out.
 
     Args:
-        n_frames: of the clip.
+        scene: the clip.
         held_out: share of them.
         fewest: that are fitted at least.
 
@@ -148,15 +148,16 @@ def fitted_frames(n_frames: int, held_out: float, fewest: int) -> int:
     def fitted(n: int) -> int:
         return n - round(held_out * n)
 
+    n_frames = scene.n_frames
     if fitted(n_frames) < fewest:
         enough = n_frames + 1
         while fitted(enough) < fewest:
             enough += 1
+        beside = f": {fewest} to fit, and a share of {held_out:g} held out (diagnosis.held_out)"
         raise InputError(
             "The clip is too short for a diagnosis",
-            where="scene",
-            expected=f"{enough} frames or more: {fewest} to fit, and a share of {held_out:g} held out "
-            "(diagnosis.held_out)",
+            where=f"scene {scene.name}",
+            expected=f"{enough} frames or more{beside if held_out else ''}",
             got=f"{n_frames} frames",
         )
     return fitted(n_frames)
@@ -172,7 +173,7 @@ def check_problem(
             effects that act while the motion is tracked, no candidates, or candidates that are not at zero.
     """
     _require_even_spacing(reconstruction.scene)
-    fitted_frames(reconstruction.scene.n_frames, settings.held_out, settings.fewest_frames)
+    fitted_frames(reconstruction.scene, settings.held_out, settings.fewest_frames)
     simulator = reconstruction.simulator
     if type(simulator) is not ImplicitSimulator or not isinstance(simulator.integrator, BDF2):
         of = type(simulator.integrator).__name__ if isinstance(simulator, ImplicitSimulator) else ""

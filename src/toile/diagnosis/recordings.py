@@ -40,9 +40,9 @@ def next_recording(candidates: Sequence[str]) -> str:
     known = [c for c in candidates if c in _BY_EFFECT]
     stages = [STAGES[c] for c in known]
     if not known:
-        return "a second, longer clip of the same cloth with another motion of the pinned corners"
+        return "one more clip of the same cloth, a longer one, with another motion of the pinned corners"
     if len(known) > 1 and all(stage in MOVING for stage in stages):
-        head = "a second clip with the pinned corners shaken about 3 cm at 2 to 3 Hz"
+        head = "one more clip with the pinned corners shaken about 3 cm at 2 to 3 Hz"
     else:
         head = ""
     wanted = list(dict.fromkeys(_BY_EFFECT[c] for c in known))
