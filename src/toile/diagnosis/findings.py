@@ -169,9 +169,11 @@ def amounts(
     covariance = found.covariance
     if covariance is None:
         covariance = np.diag([found.deviation[parameter.name] ** 2 for parameter in effect.parameters])
-    # The same draws every time: an answer made twice is the same.
-    draws = np.random.default_rng(0).multivariate_normal(mean, widened**2 * covariance, _DRAWS, method="eigh")
-    drawn = np.array([[amount.value for amount in of(values)] for values in draws])
+    # The same draws every time: an answer made twice is the same. Rounding may leave eigenvalues below zero.
+    values, vectors = np.linalg.eigh(0.5 * widened**2 * (covariance + covariance.T))
+    normal = np.random.default_rng(0).standard_normal((_DRAWS, len(mean)))
+    draws = mean + (normal * np.sqrt(np.clip(values, 0.0, None))) @ vectors.T
+    drawn = np.array([[amount.value for amount in of(draw)] for draw in draws])
     at_best = np.array([amount.value for amount in best])
     low, middle, high = np.quantile(drawn, (0.05, 0.5, 0.95), axis=0)
     # The largest of a field grows with every error of it, so what is drawn lies beyond the estimate.

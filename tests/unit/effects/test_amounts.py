@@ -140,3 +140,12 @@ def test_an_estimate_lies_within_its_interval_where_much_is_unsure() -> None:
     unsure = finding(gusts, 1.0, gusts.values.numpy(), np.eye(len(gusts.scales)))
     (strongest,) = amounts(unsure, gusts, AROUND, MATERIAL, TIMES).values()
     assert strongest.low == 0.0
+
+
+def test_rounding_in_a_covariance_says_nothing() -> None:
+    """Coefficients that are not known apart leave eigenvalues of nearly zero, of either sign."""
+    mean = np.array([2.0, 1.0, 0.0, 0.0, 0.0])
+    along = np.outer(mean, mean) - 1e-12 * np.eye(5)
+    effect = NonuniformDensity()
+    found = amounts(finding(effect, 30.0, mean, along), effect, AROUND, MATERIAL, TIMES)
+    assert all(one.low < one.estimate < one.high for one in found.values())
