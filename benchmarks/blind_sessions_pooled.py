@@ -195,10 +195,10 @@ def last_page(table: pd.DataFrame, every: pd.DataFrame) -> str:
             "# Sealed sessions by one method",
             f"Made by `make blind-sessions-pooled` from the marks of {_sets(own)}, every session answered "
             "before its label was opened, by the version that its page names. They differ in one rule: since "
-            "[fourth effects](blind_sessions_fourth_effects.md) an effect that another one refutes speaks for "
-            "`none` no more, by which one of the nine answers before would be another. All versions: [the "
-            f"record]({STEM}.md). Value [95 % interval], sessions. With few sessions the calibration error "
-            "comes out too large.",
+            "[fourth effects](blind_sessions_fourth_effects.md) an effect that another one refutes speaks "
+            "for `none` no more, by which one of the nine answers before would be another. All versions: "
+            f"[the record]({STEM}.md). Value [95 % interval], sessions. With few sessions the calibration "
+            "error comes out too large.",
             aims_section(table),
             _section(table, ""),
             "",
