@@ -7,6 +7,7 @@ import os
 import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
+from itertools import chain, pairwise
 from threading import Thread
 from types import TracebackType
 from typing import Generic, TypeVar, cast
@@ -22,6 +23,9 @@ R = TypeVar("R")
 # Larger arrays are put where all processes see them, once, and copied where one writes.
 _SHARED = "1M"
 
+_PARTS = 4
+"""In which the items of a call are handed to each process; with more, one that is done early waits less."""
+
 
 class Workers:
     """Processes that share independent work, each with one thread; to be used in a ``with``.
@@ -31,6 +35,7 @@ class Workers:
     """
 
     def __init__(self, count: int = 1) -> None:
+        self._count = count
         self._parallel = (
             None
             if count == 1
@@ -74,7 +79,11 @@ class Workers:
             return map(task, items)
         if flushing():
             task = _Flushed(task)
-        return _results(self._parallel(delayed(_Kept(task))(item) for item in items))
+        # Each part takes the task along, and with it the problem that the items are of.
+        n = min(len(items), _PARTS * self._count)
+        bounds = [len(items) * k // n for k in range(n + 1)]
+        parts = [items[a:b] for a, b in pairwise(bounds)]
+        return _results(chain.from_iterable(self._parallel(delayed(_KeptPart(task))(part) for part in parts)))
 
 
 class _Kept(Generic[T, R]):
@@ -93,6 +102,16 @@ class _Kept(Generic[T, R]):
         except Exception as failure:
             failure.add_note("".join(traceback.format_exception(failure)))
             return None, failure
+
+
+class _KeptPart(Generic[T, R]):
+    """The same of a part of the items, one after the other."""
+
+    def __init__(self, task: Callable[[T], R]) -> None:
+        self.kept = _Kept(task)
+
+    def __call__(self, items: Sequence[T]) -> list[tuple[R | None, Exception | None]]:
+        return [self.kept(item) for item in items]
 
 
 def _results(found: Iterator[tuple[R | None, Exception | None]]) -> Iterator[R]:
