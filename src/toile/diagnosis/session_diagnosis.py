@@ -328,7 +328,7 @@ def diagnose_session(
         workers,
     )
     worse = overtaken(left_out.shrinks) if len(clips) > 1 else ()
-    if next(iter(evidence.chances)) == NONE:
+    if worse and next(iter(evidence.chances)) == NONE:
         evidence = evidence.without(worse, weights)
     second: SecondEffect | None = None
     if sum(evidence.chances.get(effect.NAME, 0.0) for effect in moving) >= settings.verdict.named:

@@ -63,13 +63,6 @@ def _on_grid(lines: GridLines, modes: tuple[tuple[int, int], ...]) -> Tensor:
     return torch.stack(found, -1).reshape(-1, len(modes))
 
 
-def areas(cloth: Cloth) -> Tensor:
-    """Share of the sheet's area that belongs to every vertex (N,)."""
-    first, second = cloth.lines.shares()
-    whole = torch.outer(first, second).reshape(-1)
-    return whole / whole.sum()
-
-
 class SmoothField(Effect):
     """An effect whose values are amplitudes of smooth modes over the cloth.
 
@@ -127,7 +120,7 @@ class SmoothField(Effect):
         field = self.field(around.cloth)
         order = torch.argsort(field)
         # Lines of the grid may be closer at the borders, where smooth fields have their extremes.
-        shares = areas(around.cloth)[order]
+        shares = around.cloth.lines.areas()[order]
         up_to = torch.cumsum(shares, 0) - shares / 2
         ends = np.interp(_ENDS, up_to.numpy(), field[order].detach().numpy())
         changes = (100 * np.expm1(ends)).tolist()

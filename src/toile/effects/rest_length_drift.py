@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from toile.effects.base import Amount, ElementEffect, Parameter, Scope, Stage, Surroundings
-from toile.effects.modes import areas, cosine_modes
+from toile.effects.modes import cosine_modes
 from toile.errors import InputError
 from toile.physics.cloth import Cloth
 from toile.physics.elements import Elements
@@ -64,7 +64,7 @@ class RestLengthDrift(ElementEffect):
         self, around: Surroundings, material: Mapping[str, float], times: Tensor
     ) -> tuple[Amount, ...]:
         """See Effect: by how much sides have changed after T, the mean over the cloth."""
-        change = torch.expm1(areas(around.cloth) @ self._fields(around.cloth, self.duration))
+        change = torch.expm1(around.cloth.lines.areas() @ self._fields(around.cloth, self.duration))
         return tuple(Amount(f"axis {axis}", 100 * float(change[axis]), "%") for axis in (0, 1))
 
     def elements(self, elements: Elements, now: StepContext) -> Elements:

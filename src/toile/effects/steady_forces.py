@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from toile.effects.base import Amount, ForceEffect, Parameter, Scope, Stage, Surroundings
-from toile.effects.modes import areas, cosine_modes, modes_up_to
+from toile.effects.modes import cosine_modes, modes_up_to
 
 HALF_WAVES = 3
 """Along each axis of the cloth, of the shortest mode."""
@@ -54,7 +54,7 @@ class SteadyForces(ForceEffect):
     ) -> tuple[Amount, ...]:
         """See Effect: root mean square of the field over the cloth."""
         field = self.acceleration(torch.zeros(1, dtype=torch.float64), around)[0]
-        mean_square = areas(around.cloth) @ field.square().sum(-1)
+        mean_square = around.cloth.lines.areas() @ field.square().sum(-1)
         return (Amount("root mean square", float(mean_square.sqrt()), "m/s²"),)
 
     def acceleration(self, times: Tensor, around: Surroundings) -> Tensor:

@@ -177,8 +177,7 @@ def grid_cloth(
     masses = grid_masses(*grid, cloth_size, areal_density)
     if uneven is not None:
         energies = energies.with_factors(_element_factors(energies, uneven))
-        first, second = uneven.shares()
-        masses = masses.sum() * torch.outer(first, second).reshape(-1) / (first.sum() * second.sum())
+        masses = masses.sum() * uneven.areas()
     return Cloth(
         topology=Topology.of_grid(*grid),
         energies=energies,

@@ -81,6 +81,12 @@ class GridLines:
         first, second = (0.5 * (pad(d, (1, 0)) + pad(d, (0, 1))) for d in self.spacings())
         return first, second
 
+    def areas(self) -> Tensor:
+        """Share of the sheet's area that belongs to every vertex (N,)."""
+        first, second = self.shares()
+        found: Tensor = torch.outer(first, second).reshape(-1) / (first.sum() * second.sum())
+        return found
+
     def strips(self) -> tuple[Tensor, Tensor]:
         """Width of the strip that each line stands for, (H,) and (W,), over the mean distance of lines.
 

@@ -145,7 +145,7 @@ def answer(report: GapReport) -> str:
     return f"The gap is {listed(names, 'and')}."
 
 
-def alike_in_answer(report: GapReport) -> tuple[str, ...]:
+def _alike_in_answer(report: GapReport) -> tuple[str, ...]:
     """Names whose probabilities the answer has together, as the clips cannot tell them apart; () for one."""
     session, verdict = report.session, report.verdict
     if session is None or verdict.effect in (AMBIGUOUS, UNKNOWN):
@@ -180,7 +180,7 @@ def certainty(report: GapReport) -> str:
     stage = f"It acts in the {verdict.stage} stage." if verdict.stage in STAGES else ""
     others = [spoken(c) for c in verdict.candidates if c not in (verdict.effect, verdict.also)]
     excluded = f" Not excluded: {listed(others, 'and')}." if others else ""
-    if alike := alike_in_answer(report):
+    if alike := _alike_in_answer(report):
         return _of_alike(report, alike, probability, stage)
     if verdict.effect == NONE:
         return f"Probability {probability} that nothing is missing.{excluded}"

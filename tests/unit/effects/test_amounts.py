@@ -13,7 +13,7 @@ from toile.diagnosis.findings import Finding, amounts, finding
 from toile.effects.air_drag import AirDrag
 from toile.effects.base import Surroundings
 from toile.effects.gusts import Gusts
-from toile.effects.modes import SmoothField, areas
+from toile.effects.modes import SmoothField
 from toile.effects.nonuniform_density import NonuniformDensity
 from toile.effects.nonuniform_stiffness import NonuniformStiffness
 from toile.effects.rest_curvature import RestCurvature
@@ -64,7 +64,7 @@ def test_places_are_shares_of_the_cloth_and_not_of_its_vertices(mode: str) -> No
         for cloth in (crowded, fine)
     ]
     np.testing.assert_allclose(of_both[0], of_both[1], atol=1.5)
-    assert float(areas(crowded).sum()) == pytest.approx(1.0)
+    assert float(crowded.lines.areas().sum()) == pytest.approx(1.0)
 
 
 def test_a_moment_curls_cloth_the_more_the_softer_it_is() -> None:
