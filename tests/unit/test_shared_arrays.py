@@ -26,7 +26,9 @@ if __name__ == "__main__":
     shared_arrays._MEMORY = Path(sys.argv[1])
     for _ in range(2):
         with Workers(2) as workers:
-            files = list(workers.map(attrgetter("filename"), [np.zeros(2**18)] * 2))
+            array = np.zeros(2**18)
+            array.flags.writeable = False
+            files = list(workers.map(attrgetter("base.filename"), [array] * 2))
         assert all(Path(file).is_relative_to(shared_arrays.folder_of_arrays()) for file in files)
     (shared_arrays.folder_of_arrays() / "array").write_bytes(bytes(1000))
     print(shared_arrays.folder_of_arrays(), flush=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import itertools
 import os
 import signal
@@ -11,9 +12,12 @@ import time
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
+import torch
 
 from toile.errors import InputError
+from toile.shared_arrays import folder_of_arrays
 from toile.workers import Workers
 
 POOL = """
@@ -60,6 +64,79 @@ def test_results_that_nobody_wants_are_no_results_of_the_next_call() -> None:
             first, *_ = itertools.islice(workers.map(abs, range(-30, 0)), 1)
             assert first == 30
             assert list(workers.map(abs, range(-9, 0))) == list(range(9, 0, -1))
+
+
+def test_arrays_are_handed_out_as_they_are_now() -> None:
+    """joblib hands out a large array as it was when it was first seen."""
+    array = np.zeros(2**18)
+
+    def more(by: int) -> float:
+        return float(array[0]) + by
+
+    with Workers(2) as workers:
+        for k in range(3):
+            array[:] = k
+            assert list(workers.map(np.max, [array, array])) == [k, k]
+            assert list(workers.map(more, [1, 2])) == [k + 1, k + 2]
+
+
+def seen(array: np.ndarray, _: None = None) -> tuple[Path, float, bool]:
+    assert not array.flags.writeable
+    return Path(array.base.filename), array.sum(), array.flags.f_contiguous
+
+
+def test_large_arrays_that_never_change_are_handed_out_once() -> None:
+    array = np.asfortranarray(np.arange(2**18, dtype=np.float32).reshape(512, 512))
+    array.flags.writeable = False
+
+    with Workers(2) as workers:
+        found = [*workers.map(seen, [array, array]), *workers.map(partial(seen, array), [None, None])]
+        assert {(total, order) for _, total, order in found} == {(array.sum(), True)}
+        (path,) = {path for path, *_ in found}
+        assert path.is_file()
+        del array
+        gc.collect()
+        assert not path.exists()
+
+
+def test_results_have_their_files_no_longer_than_needed() -> None:
+    with Workers(2) as workers:
+        assert [len(found) for found in workers.map(np.zeros, [3000000, 2000000])] == [3000000, 2000000]
+        gc.collect()
+        assert not [*folder_of_arrays().glob("*.given"), *folder_of_arrays().glob("*.found")]
+
+
+held: list[np.ndarray] = []
+
+
+def held_in(item: int) -> int:
+    held.append(np.ones(5 * 10**7))
+    time.sleep(0.6)
+    return os.getpid()
+
+
+def test_a_process_whose_memory_grows_goes_on() -> None:
+    """Another one in its place has to import everything."""
+    with Workers(2) as workers:
+        first = set(workers.map(held_in, range(2)))
+        for _ in range(2):
+            assert set(workers.map(held_in, range(2))) == first
+
+
+def test_tensors_come_back_as_they_are() -> None:
+    tensor = torch.arange(6.0, dtype=torch.float64).reshape(2, 3)
+    across = tensor.T
+
+    def both(by: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        return tensor + by, across + by, torch.ones(2, requires_grad=True)
+
+    with Workers(2) as workers:
+        for by, (one, other, leaf) in enumerate(workers.map(both, [0, 1])):
+            assert torch.equal(one, tensor + by)
+            assert torch.equal(other, across + by)
+            assert leaf.requires_grad
+            # It can be written to.
+            assert torch.equal(one.add_(1), tensor + by + 1)
 
 
 def refused(item: int) -> None:

@@ -7,8 +7,10 @@ Testing precise hypotheses).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +20,15 @@ from toile.diagnosis.joint_fit import JointClip, JointFit, tracked_windows
 from toile.diagnosis.mechanics import Mechanics
 from toile.diagnosis.refits import Refit, acting_with, within_bounds
 from toile.effects.base import Effect, Scope
+from toile.workers import ALONE, Workers
 
 Array = NDArray[np.float64]
 
 _FEWEST = 8
 """Frames of a piece at least."""
+
+_Motion: TypeAlias = tuple[int, int, bytes, bytes, tuple[str, ...]]
+"""Clip, frames of a piece, base values, strengths of its usual effects and their names."""
 
 
 def effect_size(mechanics: Mechanics, model: Refit) -> float:
@@ -88,7 +94,22 @@ class Displacements:
 
     def __init__(self, clips: Sequence[JointClip], start: Array, width: float) -> None:
         self.clips, self.start, self.width = clips, start, width
-        self._without: dict[tuple[int, int, bytes, bytes, tuple[str, ...]], list[Array] | None] = {}
+        self._without: dict[_Motion, list[Array] | None] = {}
+
+    def of_all(self, fits: Mapping[str, JointFit], workers: Workers = ALONE) -> dict[str, Displacement]:
+        """How far the effects in question in several fits move it.
+
+        Args:
+            fits: by any name.
+            workers: share them.
+        """
+        acting = [fit for fit in fits.values() if np.any(fit.own)]
+        frames = self.clips[0].windows[-1].last
+        asked = Counter(self._motion_without(0, fit, frames) for fit in acting)
+        for fit in acting:
+            if asked[self._motion_without(0, fit, frames)] > 1:
+                self._simulated_without(0, fit, frames)
+        return dict(zip(fits, workers.map(self.of, list(fits.values())), strict=True))
 
     def of(self, fit: JointFit) -> Displacement:
         """How far the effect moves it that is in question in a fit."""
@@ -114,7 +135,7 @@ class Displacements:
 
     def _distances(self, clip: int, fit: JointFit, frames: int) -> list[Array] | None:
         """Mean distance of every frame of pieces of so many frames [m]; None where a step fails."""
-        without = self._motion_without(clip, fit, frames)
+        without = self._simulated_without(clip, fit, frames)
         there = None if without is None else self._motion(clip, fit, fit.effects[clip], frames)
         if without is None or there is None:
             return None
@@ -126,15 +147,15 @@ class Displacements:
             for moved, still in zip(there, without, strict=True)
         ]
 
-    def _motion_without(self, clip: int, fit: JointFit, frames: int) -> list[Array] | None:
-        # Effects of the base model act in both.
-        usual = fit.effects[clip][:-1] if fit.n_usual else ()
-        strength = fit.coefficients[: fit.n_usual]
-        names = tuple(effect.NAME for effect in usual)
-        key = (clip, frames, fit.values.tobytes(), strength.tobytes(), names)
-        if key not in self._without:
-            self._without[key] = self._motion(clip, fit, usual, frames)
-        return self._without[key]
+    def _simulated_without(self, clip: int, fit: JointFit, frames: int) -> list[Array] | None:
+        which = self._motion_without(clip, fit, frames)
+        if which not in self._without:
+            self._without[which] = self._motion(clip, fit, _usual(fit, clip), frames)
+        return self._without[which]
+
+    def _motion_without(self, clip: int, fit: JointFit, frames: int) -> _Motion:
+        names = tuple(effect.NAME for effect in _usual(fit, clip))
+        return clip, frames, fit.values.tobytes(), fit.coefficients[: fit.n_usual].tobytes(), names
 
     def _motion(
         self, clip: int, fit: JointFit, effects: tuple[Effect, ...], frames: int
@@ -156,3 +177,8 @@ class Displacements:
                 return None
             found.append(moved.positions[:: shooting.substeps])
         return found
+
+
+def _usual(fit: JointFit, clip: int) -> tuple[Effect, ...]:
+    """Effects of the base model, which act without the one in question as well."""
+    return fit.effects[clip][:-1] if fit.n_usual else ()

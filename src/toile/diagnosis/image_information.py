@@ -26,6 +26,8 @@ class SoftenedInformation:
 
     def __init__(self, factor: Single, variance: float) -> None:
         self.factor, self.variance = factor, np.float32(variance)
+        # Processes that share work have it once.
+        factor.flags.writeable = False
 
     def __matmul__(self, right: NDArray[np.floating]) -> Single:
         """Product with (n,) or (n, R), in single precision."""

@@ -72,7 +72,7 @@ def left_out_shrinks(
         seed: of those.
         refine: gives the last clip around the motion that a hypothesis refines it to; None: all begin with
             the motion that there is.
-        workers: share the windows of a clip.
+        workers: share the windows of a clip, and placebos.
     """
     clip = whole.clips[-1]
     judge = ImageError(clip.shooting.tracked)
@@ -103,7 +103,7 @@ def left_out_shrinks(
     without_effect = errors.pop("")
     if without_effect is None:
         return LeftOut({}, ())
-    best = _best_placebo(ours, model, plain, without_effect, placebos, seed)
+    best = _best_placebo(ours, model, plain, without_effect, placebos, seed, workers)
     # What a piece starts with wrongly stays with it: its frames are no cases of their own.
     resampled = PredictionSettings(block=min(ahead, len(without_effect)))
     shrinks = {}
@@ -169,20 +169,27 @@ class _Predictor:
 
 
 def _best_placebo(
-    ours: _Predictor, base: Base, usual: tuple[Effect, ...], without: Array, n: int, seed: int
+    ours: _Predictor,
+    base: Base,
+    usual: tuple[Effect, ...],
+    without: Array,
+    n: int,
+    seed: int,
+    workers: Workers,
 ) -> float | None:
     """Best shrink among smooth static force fields, in either direction and of several sizes."""
     rng = np.random.default_rng(seed)
     modes = cosine_modes(ours.shooting.simulator.cloth.lines, 2)
-    best: float | None = None
+    fields = []
     for _ in range(n):
         field = np.einsum("kc,kn->nc", rng.standard_normal((len(modes), 3)), modes) / len(modes) ** 0.5
-        for size in (*_SIZES, *(-s for s in _SIZES)):
-            found = ours.errors(base, usual, size * field)
-            if found is not None:
-                total = shrink_of(without, found)
-                best = total if best is None else max(best, total)
-    return best
+        fields += [size * field for size in (*_SIZES, *(-s for s in _SIZES))]
+
+    def errors(field: Array) -> Array | None:
+        return ours.errors(base, usual, field)
+
+    found = [shrink_of(without, one) for one in workers.map(errors, fields) if one is not None]
+    return max(found, default=None)
 
 
 def _cut(whole: JointFitting, without: JointFitting, effects: tuple[Effect, ...], fit: JointFit) -> JointFit:

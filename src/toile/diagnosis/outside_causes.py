@@ -166,17 +166,18 @@ def judged(
     # Reduced once for all: the windows' own unknowns are most of the work.
     evidence = fitting.quadratic(candidates, base, fitting.systems(candidates, base, workers))
     by_name = {effect.NAME: effect for effect in outside}
-    displacements = Displacements(fitting.clips, fitting.start, width)
+    found = fitting.linearised(candidates, base, evidence)
+    displacements = Displacements(fitting.clips, fitting.start, width).of_all(found, workers)
     return OutsideCauses(
         {
             name: OutsideCause(
                 fit.evidence(base),
                 fit.own,
                 fit.own_covariance,
-                displacements.of(fit),
+                displacements[name],
                 _beside(fitting, base, by_name[name], candidates, evidence),
             )
-            for name, fit in fitting.linearised(candidates, base, evidence).items()
+            for name, fit in found.items()
         },
         float(base.effects[0][0].values[0]),
         len(base.history) - 1,

@@ -151,16 +151,14 @@ class EffectsBeside:
         for effect in promising(with_first, linear, of_law, errors, 1):
             stage = self.stages.fit_beside(fitting, effect, first, share)
             fits[effect.NAME] = self.pipeline.run(stage, self.motion, with_first)
+        found = {name: cause.displacement for name, cause in causes.items() if name not in PUSHING}
         moved_by = Displacements(fitting.clips, fitting.start, model.width)
-        sizes = {
-            name: causes[name].displacement.last
-            if name in causes and name not in PUSHING
-            else moved_by.of(fit).last
-            for name, fit in fits.items()
-        }
+        found |= moved_by.of_all({n: fit for n, fit in fits.items() if n not in found}, workers)
+        sizes = {name: found[name].last for name in fits}
         within = {name: fit.evidence(with_first) for name, fit in fits.items()}
-        found = chances(MotionEvidence(errors, within, self.learned, {}, sizes, freed), self.weights)
-        return dict(sorted(found.items(), key=lambda item: -item[1])), fits
+        evidence_beside = MotionEvidence(errors, within, self.learned, {}, sizes, freed)
+        odds = chances(evidence_beside, self.weights)
+        return dict(sorted(odds.items(), key=lambda item: -item[1])), fits
 
     def _with(self, effect: Effect, share: float) -> JointFit:
         """The model with one effect, simulated."""

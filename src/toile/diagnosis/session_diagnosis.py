@@ -282,11 +282,14 @@ def diagnose_session(
     fitting = model.fitting
     # How far causes from outside move the cloth is known where they were judged.
     moved_by = Displacements(fitting.clips, fitting.start, model.width)
-    displacements = {
-        name: moved_by.of(fit)
-        for name, fit in fits.items()
-        if name not in outside.causes or name in (*PUSHING, *STAND_INS)
-    }
+    displacements = moved_by.of_all(
+        {
+            name: fit
+            for name, fit in fits.items()
+            if name not in outside.causes or name in (*PUSHING, *STAND_INS)
+        },
+        workers,
+    )
     sizes = {name: one.last for name, one in displacements.items()}
     sizes |= stand_in_sizes(sizes, outside)
     every = {name: sizes.pop(name) for name in base.names if name in sizes}

@@ -252,6 +252,8 @@ def tracked_motion(
                 fine[:, c] += block @ off[:, d] / scale
                 if c != d:
                     fine[:, d] += block.T @ off[:, c] / scale
+        # Processes that share work have it once.
+        dense.flags.writeable = False
         information.append(dense.reshape(3 * n, 3 * n) if whole is None else whole)
         gradient[f] = grid.prolong.T @ fine
     return Tracked(model, information, scale * gradient, positions)
