@@ -190,6 +190,10 @@ capture-tables: capture-data ## One camera: training with three seeds, ablations
 session-ladder: setup ## Where a diagnosis of several clips loses what they know (hours): docs/results/session_ladder.md; resumes
 	$(BIN)/python benchmarks/session_ladder.py
 
+.PHONY: session-time
+session-time: setup ## Time and memory of a diagnosis of one clip, by one process and by two (15 minutes): docs/results/session_time.md
+	$(BIN)/python benchmarks/session_time.py
+
 .PHONY: torque-balance
 torque-balance: setup ## What the balance of torques knows of causes from outside (an hour): docs/results/torque_balance.md; resumes
 	$(BIN)/python benchmarks/torque_balance.py
