@@ -33,20 +33,25 @@ _PARTS = 4
 """In which the items of a call are handed to each process; with more, one that is done early waits less."""
 
 
+def processes(workers: int) -> int:
+    """How many a setting asks for: a negative one means one per core."""
+    return (os.cpu_count() or 1) if workers < 0 else workers
+
+
 class Workers:
     """Processes that share independent work, each with one thread; to be used in a ``with``.
 
     Args:
-        count: of processes; with one, everything happens in this one.
+        count: of processes; with one, everything happens in this one. -1: one per core.
     """
 
     def __init__(self, count: int = 1) -> None:
-        self._count = count
+        self._count = processes(count)
         self._parallel = (
             None
-            if count == 1
+            if self._count == 1
             else Parallel(
-                count,
+                self._count,
                 return_as="generator",
                 # It would hand out an array as it was when it was first seen, changed since or not.
                 max_nbytes=None,
@@ -97,7 +102,7 @@ _PLAIN = (torch.float32, torch.float64, torch.int64, torch.bool)
 
 
 class _Pickler(cloudpickle.Pickler):
-    """Tensors are pickled as arrays, in a tenth of the time."""
+    """Tensors are pickled as arrays, which takes less time."""
 
     def reducer_override(self, obj: Any) -> Any:
         """See pickle.Pickler."""
@@ -245,8 +250,3 @@ def end_with_parent() -> None:
         os._exit(1)
 
     Thread(target=watch, name="end_with_parent", daemon=True).start()
-
-
-def processes(workers: int) -> int:
-    """How many a setting asks for: a negative one means one per core."""
-    return (os.cpu_count() or 1) if workers < 0 else workers

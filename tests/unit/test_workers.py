@@ -49,6 +49,13 @@ def test_results_come_in_the_order_of_the_items() -> None:
         assert list(workers.map(abs, [-3, 1, -2])) == [3, 1, 2]
 
 
+def test_one_process_per_core_gives_every_result(monkeypatch: pytest.MonkeyPatch) -> None:
+    for cores in (1, 2):
+        monkeypatch.setattr(os, "cpu_count", lambda n=cores: n)
+        with Workers(-1) as workers:
+            assert list(workers.map(abs, range(-20, 0))) == list(range(20, 0, -1))
+
+
 def test_a_call_after_one_that_failed_has_its_own_results_alone() -> None:
     """Fits go on with the next hypothesis where a step has blown up in a process."""
     with Workers(2) as workers:
