@@ -83,9 +83,11 @@ def text(table: pd.DataFrame) -> str:
         "# Time of a diagnosis of a session\n\n"
         "Made by `make session-time` (`--clips 3` of `benchmarks/session_time.py` for three clips). From the "
         "command to the page, `diagnosis=quick`, "
-        f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores; refining is the longest "
-        "stage; memory of all processes together. `same answer`: whether diagnosis.json has the bytes of the "
-        "run by one process. One run each.\n\n" + str(shown.to_markdown(index=False, floatfmt=".2f")) + "\n"
+        f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores; refining is one of "
+        "the longest stages; memory of all processes together. `same answer`: whether diagnosis.json has the "
+        "bytes of the run by one process. One run each.\n\n"
+        + str(shown.to_markdown(index=False, floatfmt=".2f"))
+        + "\n"
     )
 
 
@@ -104,10 +106,12 @@ def main() -> None:
         run = within / f"{folder_of(given.session).name}_{workers}"
         found = measured(folder, workers, run)
         alone = within / f"{folder_of(given.session).name}_1" / DIAGNOSIS_FILE
-        same = alone.is_file() and alone.read_bytes() == (run / DIAGNOSIS_FILE).read_bytes()
+        same = "–"
+        if alone.is_file():
+            same = "yes" if alone.read_bytes() == (run / DIAGNOSIS_FILE).read_bytes() else "no"
         which = dict(zip(WHICH, (given.session, given.clips, workers), strict=True))
         revision = str(current_git_revision())[:7]
-        rows.append({**which, "revision": revision, **found, "same answer": "yes" if same else "no"})
+        rows.append({**which, "revision": revision, **found, "same answer": same})
     table = pd.DataFrame(rows)
     if TABLE.is_file():
         table = pd.concat([pd.read_csv(TABLE), table]).drop_duplicates(WHICH, keep="last")

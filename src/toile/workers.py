@@ -24,7 +24,7 @@ from joblib import Parallel, delayed
 from joblib.externals.loky import process_executor
 
 from toile.denormals import denormals_flushed, flushing
-from toile.shared_arrays import LARGE, array_in, file_of, never_changes, new_file
+from toile.shared_arrays import LARGE, array_in, file_of, folder_of_arrays, never_changes, new_file
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -57,6 +57,8 @@ class Workers:
                 max_nbytes=None,
                 # At once: what is handed out later is so by a thread, while the next call may have begun.
                 pre_dispatch="all",
+                # Whatever it leaves there goes with what is ours.
+                temp_folder=str(folder_of_arrays()),
                 inner_max_num_threads=1,
                 initializer=_begin,
             )
@@ -95,7 +97,7 @@ class Workers:
         parts = [items[a:b] for a, b in pairwise(bounds)]
         written = [_Written(value) for value in (task, *parts)]
         kept = _KeptPart(written[0].path)
-        return _results(self._parallel(delayed(kept)(part.path) for part in written[1:]), written)
+        return _results(written, self._parallel(delayed(kept)(part.path) for part in written[1:]))
 
 
 _PLAIN = (torch.float32, torch.float64, torch.int64, torch.bool)
@@ -170,11 +172,10 @@ class _KeptPart:
     def __init__(self, task: Path) -> None:
         self.task = task
 
-    def __call__(self, items: Path) -> Path:
+    def __call__(self, items: Path) -> None:
         # By a file, which is written here and read there at once: a pipe takes longer.
         with _results_of(items).open("wb") as file:
             _Pickler(file).dump([self._kept(item) for item in _read(items)])
-        return _results_of(items)
 
     def _kept(self, item: object) -> tuple[Any, Exception | None]:
         try:
@@ -184,27 +185,25 @@ class _KeptPart:
             return None, failure
 
 
-def _results(parts: Iterator[Path], written: Sequence[_Written]) -> Iterator[Any]:
+def _results(written: Sequence[_Written], done: Iterator[None]) -> Iterator[Any]:
     """Results as they come, or the first failure; in either case nothing is left under way.
 
     Args:
-        parts: where results are.
-        written: what they are found from; it stays as long as this does.
+        written: the task, and every part of the items; their files stay as long as this does.
+        done: comes to its next one when the next part is done.
     """
     try:
-        for part in parts:
-            found = _read(part)
-            part.unlink()
+        for part, _ in zip(written[1:], done, strict=True):
+            found = _read(_results_of(part.path))
+            _results_of(part.path).unlink()
             for value, failure in found:
                 if failure is not None:
                     raise failure
                 yield value
     except (Exception, GeneratorExit):
-        for _ in parts:
+        for _ in done:
             pass
         raise
-    finally:
-        del written
 
 
 class _Flushed(Generic[T, R]):

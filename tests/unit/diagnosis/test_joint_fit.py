@@ -241,7 +241,7 @@ class TestFits:
         alone = Displacements(fitting.clips, fitting.start, 0.3).of(softer)
         assert not np.array_equal(moved_by.of(softer).frames, half_as_far.frames)
         assert np.array_equal(moved_by.of(softer).frames, alone.frames)
-        # Of several the motion without them is simulated once.
+        # Of several at once as of each.
         every = Displacements(fitting.clips, fitting.start, 0.3).of_all({"a": fit, "b": weaker, "c": softer})
         assert [one.last for one in every.values()] == [far, half_as_far.last, alone.last]
         nothing = replace(fit, coefficients=np.zeros_like(fit.coefficients))
