@@ -75,7 +75,7 @@ Measure = Callable[[Path, Path], Seen]
 
 
 def seen_in(scene: Scene, positions: Array) -> Seen:
-    """From the refined motion (F, N, 3) [m] of a clip."""
+    """From the refined motion (F, N, 3) [m] of a clip, nothing held in it."""
     slip = slip_of(scene, positions, AnchorSlip(), SessionSettings().slip, held_still=True)
     return Seen(change_in(scene, positions), slip.log_evidence)
 
@@ -86,15 +86,15 @@ def measured(folder: Path, out: Path) -> Seen:
     _check(load_session(folder).clips[0].motion, folder)
     session = opened(folder, out, first=True)
     (clip,) = session.clips
-    motion = session.refined()
-    return seen_in(clip.problem.scene, motion.positions[0])
+    return seen_in(clip.problem.scene, session.held().holders.positions[0])
 
 
 def kept(folder: Path, out: Path) -> Seen:
     """The same from the motion that has been refined before."""
     first = load_session(folder).clips[0]
     _check(first.motion, folder)
-    (file,) = [path for name in ("refined_1.npz", "refined.npz") if (path := out / name).is_file()][:1]
+    names = ("loosened_1.npz", "loosened.npz", "refined_1.npz", "refined.npz")
+    (file,) = [path for name in names if (path := out / name).is_file()][:1]
     with np.load(file, allow_pickle=False) as arrays:
         positions = np.asarray(arrays["positions.0"], np.float64)
     return seen_in(load_native(first.folder), positions)

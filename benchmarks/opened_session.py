@@ -12,11 +12,12 @@ from hydra import compose, initialize_config_dir
 from toile.cli.configuration import CONF
 from toile.cli.diagnose import session_problem
 from toile.diagnosis.fingerprint import fingerprint
+from toile.diagnosis.held_motion import HeldMotion, Stage, held_motion
 from toile.diagnosis.pipeline import Pipeline
 from toile.diagnosis.problem import DiagnosisProblem
 from toile.diagnosis.results import KINDS
 from toile.diagnosis.session_settings import SessionSettings
-from toile.diagnosis.session_stages import RefinedMotion, SeenClip, refining_stage, seen_clips
+from toile.diagnosis.session_stages import RefinedMotion, SeenClip, seen_clips
 from toile.diagnosis.stage_store import StageStore
 from toile.diagnosis.stage_times import StageTimes
 from toile.diagnosis.stored_values import ValueStore
@@ -55,7 +56,7 @@ class OpenedSession:
         """Duration of the longest clip [s]."""
         return max((p.scene.n_frames - 1) / p.scene.fps for p in self.problems)
 
-    def refined(self, settings: SessionSettings | None = None, name: str = "") -> RefinedMotion:
+    def held(self, settings: SessionSettings | None = None, name: str = "") -> HeldMotion:
         """The motion that the base model refines of these clips, once for all that ask for it.
 
         Args:
@@ -63,12 +64,17 @@ class OpenedSession:
             name: under which it is kept, beside the number of clips.
         """
         settings = self.together if settings is None else settings
-        stage = refining_stage(
-            self.clips, settings, self.stiffness, {"together": fingerprint(settings)}, ALONE
-        )
-        what = f"refined_{len(self.clips)}{name}"
-        stage = replace(stage, file=f"{what}.npz", name=what)
-        return self.pipeline.run(stage, *(clip.tracked for clip in self.clips))
+
+        def kept(stage: Stage) -> Stage:
+            what = f"{stage.file.removesuffix('.npz')}_{len(self.clips)}{name}"
+            return replace(stage, file=f"{what}.npz", name=what)
+
+        made_from = {"together": fingerprint(settings)}
+        return held_motion(self.pipeline, self.clips, settings, self.stiffness, made_from, ALONE, kept)
+
+    def refined(self, settings: SessionSettings | None = None, name: str = "") -> RefinedMotion:
+        """The same, what holds the cloth aside; see ``held``."""
+        return self.held(settings, name).motion
 
 
 def opened(folder: Path, out: Path, *, first: bool = False) -> OpenedSession:

@@ -16,7 +16,7 @@ from toile.diagnosis.outside_causes import OutsideCauses, outside_causes
 from toile.diagnosis.session_diagnosis import learned_chances, stand_in_sizes
 from toile.diagnosis.session_evidence import promising
 from toile.diagnosis.session_settings import SessionSettings
-from toile.diagnosis.session_stages import RefinedMotion, SessionModel, with_error_found
+from toile.diagnosis.session_stages import RefinedMotion, SeenClip, SessionModel, with_error_found
 from toile.diagnosis.session_weights import MotionEvidence, SessionWeights, chances
 from toile.effects.base import Effect
 from toile.effects.catalogue import PUSHING, STAND_INS
@@ -65,6 +65,7 @@ def hypotheses(
     also: Collection[str] = (),
     *,
     free: bool = True,
+    seen: Sequence[SeenClip] | None = None,
 ) -> Hypotheses:
     """Every hypothesis around one motion.
 
@@ -74,8 +75,9 @@ def hypotheses(
         settings: of the model.
         also: effects that are fitted whatever they promise.
         free: whether causes from outside are judged beside free forces, too.
+        seen: its clips, with what is known of their holders; None: these stay where nobody moved them.
     """
-    clips, stiffness = session.clips, session.stiffness
+    clips, stiffness = session.clips if seen is None else seen, session.stiffness
     if motion.error is None:
         motion = with_error_found(clips, motion, settings, stiffness)
     model = SessionModel(clips, motion, settings, stiffness)

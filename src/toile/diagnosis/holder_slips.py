@@ -59,6 +59,30 @@ def with_slips(
     return found
 
 
+def let_go(
+    clips: Sequence[SeenClip], motion: Sequence[Array], settings: SlipSettings, threshold: float
+) -> list[SeenClip]:
+    """The clips, those marked in which nobody moved the pinned vertices and they do not stay all the same.
+
+    One of them slips, or all have moved and another motion was recorded. A model that holds them would make
+    up for that by the law of the cloth.
+
+    Args:
+        clips: see SeenClip.
+        motion: of each, in which nothing holds them (F, N, 3) [m], see session_stages.loosened.
+        settings: of what pinned vertices do in a refined motion.
+        threshold: evidence from which on it is as probable as not that one slips [nats].
+    """
+    found = []
+    for clip, positions in zip(clips, motion, strict=True):
+        goes = clip.held_still and not stand_still(clip, positions)
+        if clip.held_still and not goes:
+            fit = slip_of(clip.problem.scene, positions, AnchorSlip(), settings, held_still=True)
+            goes = bool(fit.log_evidence > threshold)
+        found.append(replace(clip, let_go=goes))
+    return found
+
+
 def which_slips(findings: Sequence[Mapping[str, Finding]]) -> tuple[int, int]:
     """The clip that says most clearly that something slips, and the pinned vertex that does; both from 0.
 

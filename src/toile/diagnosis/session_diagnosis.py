@@ -26,6 +26,7 @@ from toile.diagnosis.effect_size import Displacement, Displacements
 from toile.diagnosis.findings import Finding, amounts, estimates, finding
 from toile.diagnosis.fingerprint import fingerprint
 from toile.diagnosis.gap_maps import stage_chances
+from toile.diagnosis.held_motion import held_motion
 from toile.diagnosis.holder_slips import which_slips, with_slips
 from toile.diagnosis.joint_fit import JointFit, JointFitting
 from toile.diagnosis.learned.decision import WEIGHTS, LearnedDecision
@@ -72,7 +73,6 @@ from toile.diagnosis.session_stages import (
     RefinedMotion,
     SeenClip,
     SessionModel,
-    refining_stage,
     seen_clips,
 )
 from toile.diagnosis.session_weights import EVIDENCE_FILE, SessionWeights
@@ -212,13 +212,13 @@ def diagnose_session(
     made_from |= {"together": fingerprint(together), "devices": fingerprint(devices)}
     made_from["still"] = fingerprint([(clip.still_air, clip.held_still) for clip in clips])
     made_from |= {"stiffness": fingerprint(settings.stiffness), "shooting": fingerprint(settings.shooting)}
-    refining = refining_stage(clips, together, settings.stiffness, made_from, workers)
-    motion = pipeline.run(refining, *(clip.tracked for clip in clips))
+    held = held_motion(pipeline, clips, together, settings.stiffness, made_from, workers)
+    clips, motion, holders, made_from = held.clips, held.motion, held.holders, held.made_from
     of_one_clip = SessionWeights.load()
     weights = of_one_clip.of_clips(len(clips))
     changes = {
         name: change
-        for name, clip, positions in zip(session.clip_names, clips, motion.positions, strict=True)
+        for name, clip, positions in zip(session.clip_names, clips, holders.positions, strict=True)
         if (change := change_of_size(clip, positions)) is not None
     }
     progress("what passes before the cloth", 0.5)
@@ -232,7 +232,7 @@ def diagnose_session(
     resized = {name: change for name, change in changes.items() if abs(change) > weights.resized}
     if not resized:
         # Holders go with a cloth that seems to change its size.
-        remarkable += _said(moved_holders(session, clips, motion.positions))
+        remarkable += _said(moved_holders(session, clips, holders.positions))
     model = SessionModel(clips, motion, together, settings.stiffness)
     stages = HypothesisStages(model, progress, made_from, workers)
     plain = pipeline.run(stages.plain(0.5), motion)
@@ -278,7 +278,7 @@ def diagnose_session(
     calibration = Calibration.load(None if settings.calibration is None else Path(settings.calibration))
     # A motion that is left as tracked errs as tracking does.
     slips = together.slip if together.refining.any else settings.attachment_slip
-    of_images = with_slips(clips, motion.positions, effects, slips, resized=bool(resized))
+    of_images = with_slips(clips, holders.positions, effects, slips, resized=bool(resized))
     fitting = model.fitting
     # How far causes from outside move the cloth is known where they were judged.
     moved_by = Displacements(fitting.clips, fitting.start, model.width)

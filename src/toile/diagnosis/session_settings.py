@@ -41,6 +41,8 @@ class RefiningSettings:
             looser ones leave where tracking had them are undone by it.
         finer: rounds with the whole model after them, at most; without any round the motion stays as tracked.
         steady: rounds end where the motion changes by less than so many of the model's errors.
+        loose: rounds after them in which nothing holds the pinned vertices, to see whether one slips; 0: that
+            is judged by the motion in which they are held.
         passes: of each, at most, the firm one aside.
         jumps: factor on the deviations of the jumps in them.
     """
@@ -50,6 +52,7 @@ class RefiningSettings:
     firm: CountOrZero = 12
     finer: CountOrZero = 2
     steady: NonNegative = 1.0
+    loose: CountOrZero = 2
     passes: Count = 2
     jumps: Positive = 2.5
 
@@ -100,9 +103,11 @@ class SessionSettings:
         modes: cosine modes along each side of a window's start.
         boundary_knot: time between knots of the boundary positions [s].
         boundary: deviation of the boundary positions at a knot [m]: images hardly see their depth.
-        held: the same in clips in which nobody moved them (``motion: hang`` or ``release``). As wide as
-            ``boundary`` by default: 0.3 mm finds the motion better, but then the law of the base model is
-            wrong by more, and a null gains more; see docs/diagnosis/validation.md.
+        held: the same in clips in which nobody moved them (``motion: hang`` or ``release``) and none slips:
+            from where the template has them along the line of sight, and across it from where they are in the
+            median frame. No less than ``boundary``: from where the motion has them. Corners that wander lead
+            the cloth astray in depth; corners that are held to 0.3 mm show what the law is wrong by at them;
+            see docs/diagnosis/validation.md.
         likelihood_weight: of the images' information: errors of neighbouring points and frames are alike.
         refining: see RefiningSettings.
         model_error: see ModelError; its share is where the search for it begins.
@@ -141,7 +146,7 @@ class SessionSettings:
     modes: Count = 4
     boundary_knot: Annotated[Positive, Unit("s")] = 0.08
     boundary: Annotated[Positive, Unit("m")] = 0.01
-    held: Annotated[Positive, Unit("m")] = 0.01
+    held: Annotated[Positive, Unit("m")] = 0.002
     likelihood_weight: Positive = 0.025
     refining: RefiningSettings = field(default_factory=RefiningSettings)
     model_error: ModelError = field(default_factory=ModelError)
@@ -162,6 +167,11 @@ class SessionSettings:
     alike: Annotated[float, Field(gt=0, le=1)] = 0.95
     draws: Count = 64
     seed: Seed = 0
+
+    @property
+    def looks_for_slips(self) -> bool:
+        """Whether pinned vertices are held, and another motion says whether they stay."""
+        return self.refining.any and self.refining.loose > 0 and self.held < self.boundary
 
     def windows_at(self, fps: float) -> tuple[int, float]:
         """Frames of a window, one at least, and the factor on the deviations of its jump.

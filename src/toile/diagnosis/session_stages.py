@@ -35,6 +35,7 @@ from toile.diagnosis.touched_obstacles import TouchedObstacles, touching
 from toile.effects.base import Effect
 from toile.effects.catalogue import CATALOGUE
 from toile.effects.contact import Contact
+from toile.scenes.scene import Scene
 from toile.workers import ALONE, Workers
 
 Array = NDArray[np.float64]
@@ -57,7 +58,8 @@ class SeenClip:
         tracked: its motion.
         seen: what its images say beside.
         still_air: whether nothing blew.
-        held_still: whether nobody moved the pinned vertices: they stay where the template has them.
+        held_still: whether nobody moved the pinned vertices.
+        let_go: whether they do not stay all the same, see holder_slips.let_go.
     """
 
     problem: DiagnosisProblem
@@ -66,6 +68,12 @@ class SeenClip:
     seen: Seen
     still_air: bool = False
     held_still: bool = False
+    let_go: bool = False
+
+    @property
+    def stays(self) -> bool:
+        """Whether the pinned vertices are held where they are."""
+        return self.held_still and not self.let_go
 
     @property
     def n_frames(self) -> int:
@@ -285,6 +293,7 @@ def refined_motion(
     settings: SessionSettings,
     stiffness: tuple[float, float, float],
     workers: Workers = ALONE,
+    begin: RefinedMotion | None = None,
 ) -> RefinedMotion:
     """Refine what tracking has found.
 
@@ -296,8 +305,11 @@ def refined_motion(
         settings: see SessionSettings.
         stiffness: where fits begin.
         workers: share the windows of a clip.
+        begin: another motion, to be refined in place of the tracked one.
     """
     motion = RefinedMotion([clip.tracked.positions[: clip.n_frames] for clip in clips], None)
+    if begin is not None:
+        motion = RefinedMotion(begin.positions, begin.values, begin.error)
     s = settings.refining
     coarse = replace(settings, side=min(s.side, settings.side))
     firm = replace(coarse, fit=_rough(replace(settings.fit, passes=max(s.firm, 1))))
@@ -317,6 +329,34 @@ def refined_motion(
                 break
     motion = on_other_grids(motion, on, model_grids(clips, settings))
     return with_error_found(clips, motion, settings, stiffness, workers)
+
+
+def loosened(
+    clips: Sequence[SeenClip],
+    motion: RefinedMotion,
+    settings: SessionSettings,
+    stiffness: tuple[float, float, float],
+    workers: Workers = ALONE,
+) -> RefinedMotion:
+    """A refined motion whose pinned vertices are no longer held: where images and the laws see them.
+
+    Args:
+        clips: tracked.
+        motion: refined.
+        settings: see SessionSettings.
+        stiffness: where fits begin.
+        workers: share the windows of a clip.
+    """
+    s = settings.refining
+    coarse = replace(settings, side=min(s.side, settings.side), held=max(settings.held, settings.boundary))
+    error = motion.error
+    motion = on_other_grids(motion, model_grids(clips, settings), model_grids(clips, coarse))
+    for _ in range(s.loose):
+        model = SessionModel(clips, motion, refining(coarse), stiffness)
+        fit = model.fitting.fitted((), model.fitting.start_fit(workers), workers)
+        found = model.refined(fit, motion if coarse.side < settings.side else None)
+        motion = replace(found, error=error)
+    return motion
 
 
 def refining(settings: SessionSettings) -> SessionSettings:
@@ -379,6 +419,22 @@ def _grid(clip: SeenClip, settings: SessionSettings) -> ModelGrid:
     return model_grid(problem.scene, problem.reconstruction.cloth, side, settings.law, settings.crowding)
 
 
+def _held(scene: Scene, positions: Array) -> Array:
+    """A motion (F, N, 3) [m] whose pinned vertices stay.
+
+    Along the line of sight, of which images say little, where the template has them; across it a template may
+    be off by more than they move, so there they are where they were found, median frame.
+    """
+    pinned = list(scene.pinned_vertices)
+    at = scene.template.reshape(-1, 3)[pinned].numpy().astype(np.float64)
+    ray = at / np.linalg.norm(at, axis=-1, keepdims=True)
+    away = positions[:, pinned] - at
+    across = away - (away * ray).sum(-1, keepdims=True) * ray
+    positions = positions.copy()
+    positions[:, pinned] = at + np.median(across, axis=0)
+    return positions
+
+
 def _joint(
     clip: SeenClip,
     grid: ModelGrid,
@@ -391,11 +447,9 @@ def _joint(
     positions = motion.positions[k]
     problem = clip.problem
     fps, of_clip = problem.scene.fps, problem.settings.shooting
-    # Only where they are thought to stay: positions are those of the template then, not of the tracking.
-    if clip.held_still and s.held < s.boundary:
-        pinned = list(problem.scene.pinned_vertices)
-        positions = positions.copy()
-        positions[:, pinned] = problem.scene.template.reshape(-1, 3)[pinned].numpy()
+    # Only where they are thought to stay: otherwise they are where the motion has them.
+    if clip.stays and s.held < s.boundary:
+        positions = _held(problem.scene, positions)
     tracked = problem.images_around(positions, grid)
     tracked = softened(tracked, grid.cloth_size[0], fps, s.likelihood_weight, s.model_error)
     window, jumps = s.windows_at(fps)
@@ -406,7 +460,7 @@ def _joint(
         jump_velocity=jumps * s.jump_velocity,
         boundary_knot=max(1, round(s.boundary_knot * fps)),
         force_knot=max(1, round(s.window * fps / 2)),
-        boundary=s.held if clip.held_still else s.boundary,
+        boundary=s.held if clip.stays else s.boundary,
         modes=s.modes,
         likelihood_weight=1.0,
     )
@@ -443,6 +497,38 @@ def refining_stage(
 
     doing = "motion, refined by the base model"
     return PipelineStage("refined motion", "refined.npz", doing, 0.45, RefinedMotion, compute, made_from)
+
+
+def loosening_stage(
+    clips: Sequence[SeenClip],
+    settings: SessionSettings,
+    stiffness: tuple[float, float, float],
+    made_from: Mapping[str, str],
+    workers: Workers,
+) -> PipelineStage[RefinedMotion, RefinedMotion]:
+    """See loosened; made from the refined motion."""
+
+    def compute(motion: RefinedMotion) -> RefinedMotion:
+        return loosened(clips, motion, settings, stiffness, workers)
+
+    doing = "what holds the cloth"
+    return PipelineStage("loosened motion", "loosened.npz", doing, 0.49, RefinedMotion, compute, made_from)
+
+
+def refining_anew_stage(
+    clips: Sequence[SeenClip],
+    settings: SessionSettings,
+    stiffness: tuple[float, float, float],
+    made_from: Mapping[str, str],
+    workers: Workers,
+) -> PipelineStage[RefinedMotion, RefinedMotion]:
+    """See refined_motion; made from the loosened motion, with what does not stay let go."""
+
+    def compute(motion: RefinedMotion) -> RefinedMotion:
+        return refined_motion(clips, settings, stiffness, workers, motion)
+
+    doing = "motion, refined with what holds the cloth let go"
+    return PipelineStage("let go", "let_go.npz", doing, 0.49, RefinedMotion, compute, made_from)
 
 
 @dataclass(frozen=True)

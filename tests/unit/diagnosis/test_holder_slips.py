@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,11 +14,12 @@ from numpy.typing import NDArray
 from toile.diagnosis.attachment_slip import SlipFit, SlipSettings
 from toile.diagnosis.decision import NONE, Calibration
 from toile.diagnosis.findings import Finding
-from toile.diagnosis.holder_slips import slip_of, which_slips, with_slips
+from toile.diagnosis.holder_slips import let_go, slip_of, which_slips, with_slips
 from toile.diagnosis.joint_fit import JointFit
 from toile.diagnosis.model_errors import ModelErrors
 from toile.diagnosis.session_evidence import session_evidence
 from toile.diagnosis.session_settings import SessionSettings
+from toile.diagnosis.session_stages import SeenClip
 from toile.diagnosis.session_weights import SessionWeights
 from toile.effects.anchor_slip import AnchorSlip
 from toile.effects.motion_blur import MotionBlur
@@ -137,3 +139,20 @@ def test_odds_of_a_slip_are_those_of_its_weights() -> None:
         weights,
     ).chances
     assert np.log(chances["anchor_slip"] / chances[NONE]) == pytest.approx(3.0)
+
+
+def test_what_slips_is_let_go_and_what_stays_is_not() -> None:
+    rng = np.random.default_rng(7)
+    still: Any = SeenClip(SimpleNamespace(scene=SCENE), 0, None, None, held_still=True)  # type: ignore[arg-type]
+    moved = replace(still, held_still=False)
+    # Both corners carried to the side and back, which nobody has said.
+    carried = motion(rng)
+    carried[:, :2, 0] += 0.1 * np.sin(2 * np.pi * 0.6 * TIMES)[:, None]
+    motions = [motion(rng), motion(rng, slip=0.01), motion(rng, slip=0.01), carried]
+    threshold = SessionWeights.load().slip_threshold
+    found = let_go([still, still, moved, still], motions, SETTINGS, threshold)
+    assert [clip.let_go for clip in found] == [False, True, False, True]
+    assert [clip.stays for clip in found] == [True, False, False, False]
+    # Nothing else is changed, and what was let go before is looked at anew.
+    assert [clip.held_still for clip in found] == [True, True, False, True]
+    assert not let_go(found[1:2], motions[:1], SETTINGS, threshold)[0].let_go

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 import toile.diagnosis.problem as problems
 import toile.diagnosis.session_stages as stages
@@ -183,3 +184,39 @@ def test_a_shorter_last_window_keeps_its_own_unknowns(monkeypatch: pytest.Monkey
     again = store.value(store.flat(found))
     for own, kept in zip(again.unknowns[0], found.unknowns[0], strict=True):
         np.testing.assert_array_equal(own, kept)
+
+
+def test_what_is_held_stays_where_it_was_found_across_and_where_the_template_has_it_in_depth() -> None:
+    template = np.array([[-0.3, 0.0, 1.2], [0.0, 0.0, 1.2], [0.3, 0.1, 1.1]])
+    scene: Any = SimpleNamespace(pinned_vertices=(0, 2), template=torch.from_numpy(template).float())
+    template = scene.template.numpy().astype(np.float64)
+    ray = template / np.linalg.norm(template, axis=-1, keepdims=True)
+    aside = np.cross(ray, [0.0, 1.0, 0.0])
+    # Everywhere 4 mm beside the template, and in one frame of three 20 mm; ever deeper.
+    away = np.array([0.004, 0.004, 0.02])[:, None, None] * aside
+    motion = template + np.array([0.01, 0.02, 0.03])[:, None, None] * ray + away
+    before = motion.copy()
+    found = stages._held(scene, motion)
+    assert np.array_equal(motion, before)
+    # What is free is where it was found.
+    assert np.array_equal(found[:, 1], motion[:, 1])
+    held = np.repeat((template + 0.004 * aside)[None], 3, 0)
+    np.testing.assert_allclose(found[:, [0, 2]], held[:, [0, 2]], atol=1e-12)
+
+
+def test_rounds_without_holding_begin_with_the_refined_motion_and_its_errors(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    settings = replace(SETTINGS, refining=replace(SETTINGS.refining, loose=2))
+    model = _Rounds([0.0005] * 2)
+    monkeypatch.setattr(stages, "SessionModel", model)
+    monkeypatch.setattr(stages, "_grid", lambda clip, settings: GRIDS[settings.side])
+    monkeypatch.setattr(stages, "on_other_grids", _moved)
+    begin = RefinedMotion([TRACKED], None, error=0.0007, velocities=[np.full((4, 9, 3), 9)])
+    clip: Any = None
+    found = stages.loosened([clip], begin, settings, (850.0, 0.5, 0.005))
+    assert model.thought == [0.0007] * 2
+    assert model.began == [6, 6]
+    assert [asked.held for asked in model.asked] == [settings.boundary] * 2
+    assert settings.held < settings.boundary
+    assert np.abs(found.positions[0] - TRUE).max() < 0.5 * np.abs(TRACKED - TRUE).max()
