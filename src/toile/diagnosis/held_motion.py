@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -20,8 +19,6 @@ from toile.diagnosis.session_stages import (
 )
 from toile.diagnosis.session_weights import SessionWeights
 from toile.workers import ALONE, Workers
-
-_log = logging.getLogger(__name__)
 
 Stage = PipelineStage[*tuple[Any, ...], RefinedMotion]
 
@@ -74,9 +71,7 @@ def held_motion(
         return HeldMotion(found, motion, motion, made)
     holders = pipeline.run(kept(loosening_stage(found, settings, stiffness, made, workers)), motion)
     found = let_go(found, holders.positions, settings.slip, SessionWeights.load().slip_threshold)
-    gone = [str(k + 1) for k, clip in enumerate(found) if clip.let_go]
-    if gone:
-        _log.info("What holds the cloth does not stay in clip %s: the model lets it go", ", ".join(gone))
+    if any(clip.let_go for clip in found):
         made = {**made, "let go": fingerprint([clip.let_go for clip in found])}
         motion = pipeline.run(kept(refining_anew_stage(found, settings, stiffness, made, workers)), holders)
     return HeldMotion(found, motion, holders, made)

@@ -214,6 +214,9 @@ def diagnose_session(
     made_from |= {"stiffness": fingerprint(settings.stiffness), "shooting": fingerprint(settings.shooting)}
     held = held_motion(pipeline, clips, together, settings.stiffness, made_from, workers)
     clips, motion, holders, made_from = held.clips, held.motion, held.holders, held.made_from
+    for name, clip in zip(session.clip_names, clips, strict=True):
+        if clip.let_go:
+            _log.info("%s: what holds the cloth does not stay, so the model lets it go", name)
     of_one_clip = SessionWeights.load()
     weights = of_one_clip.of_clips(len(clips))
     changes = {
