@@ -42,7 +42,8 @@ def judged(folder: Path, out: Path, *, first: bool = True) -> dict[str, Any]:
     """What the first clip of a session says, or all of them; their evidence is kept in ``out``."""
     began = time.process_time()
     session = opened(folder, out, first=first)
-    found = hypotheses(session, session.refined(), session.together)
+    held = session.held()
+    found = hypotheses(session, held.motion, session.together, seen=held.clips)
     found.evidence.write(out / EVIDENCE_FILE)
     findings = {
         "revision": current_git_revision(),

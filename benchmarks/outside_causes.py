@@ -82,15 +82,17 @@ class Refined(NamedTuple):
 def refined(folder: Path, out: Path) -> tuple[Refined, Sequence[Effect]]:
     """The first clip of a session, tracked and refined, and the candidates."""
     session = opened(folder, out, first=True)
-    motion = session.refined()
-    return Refined(session.clips, motion, session.together, session.stiffness), session.effects
+    held = session.held()
+    return Refined(held.clips, held.motion, session.together, session.stiffness), session.effects
 
 
 def measured(folder: Path, out: Path, freed: FreedSettings) -> dict[str, object]:
     """What is found on the first clip of a session."""
     ready, effects = refined(folder, out)
     began = time.process_time()
-    ready = ready._replace(settings=replace(ready.settings, freed=freed))
+    # Corners are as free as is asked for, however they are held under the law.
+    held = max(ready.settings.held, freed.held)
+    ready = ready._replace(settings=replace(ready.settings, freed=freed, held=held))
     found = outside_causes(*ready, effects)
     return {
         "session": folder.name,

@@ -31,9 +31,7 @@ from toile.diagnosis.decision import NONE, UNKNOWN
 from toile.diagnosis.effect_evidence import EffectEvidence
 from toile.diagnosis.left_out import left_out_shrinks
 from toile.diagnosis.session_settings import SessionSettings
-from toile.diagnosis.session_stages import (
-    RefinedMotion,
-)
+from toile.diagnosis.session_stages import RefinedMotion, SeenClip
 from toile.effects.base import Effect
 from toile.effects.catalogue import CATALOGUE, STAND_INS
 from toile.generation.clip_plan import DEFAULT_CLIPS, ClipPlan
@@ -155,7 +153,7 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
         for k, c in enumerate(clips)
     ]
     width = clips[0].problem.scene.cloth_size[0]
-    motion = _motion(session, truth, rung, width)
+    motion, seen = _motion(session, truth, rung, width)
     if "force" in rung:
         settings = replace(settings, fit=replace(settings.fit, force=_FORCE, outside=_FORCE))
     error = 100 * np.mean(
@@ -163,7 +161,7 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
     )
     truth_is = cause_of(folder.name)
     # The cause is fitted whatever it promises, so that what it predicts is known.
-    found = hypotheses(session, motion, settings, (truth_is,), free="force" not in rung)
+    found = hypotheses(session, motion, settings, (truth_is,), free="force" not in rung, seen=seen)
     errors, base = found.evidence.base, found.base
     learned = found.evidence.learned or {}
     common = {
@@ -246,18 +244,22 @@ def _predicted(
     }
 
 
-def _motion(session: OpenedSession, truth: list[np.ndarray], rung: str, width: float) -> RefinedMotion:
+def _motion(
+    session: OpenedSession, truth: list[np.ndarray], rung: str, width: float
+) -> tuple[RefinedMotion, Sequence[SeenClip]]:
+    """The motion of a rung, and the clips with what is known of their holders."""
     if rung == NOISY:
         rng = np.random.default_rng(0)
         # A Gaussian vector is longer than its standard deviation along an axis, 1.6 times in the mean.
         along = _NOISE * width / np.sqrt(8 / np.pi)
-        return RefinedMotion([x + along * rng.standard_normal(x.shape) for x in truth], None)
+        return RefinedMotion([x + along * rng.standard_normal(x.shape) for x in truth], None), session.clips
     if rung.startswith("true"):
-        return RefinedMotion(truth, None)
+        return RefinedMotion(truth, None), session.clips
     if rung.startswith("tracked"):
         tracked = [clip.tracked.positions[: clip.n_frames] for clip in session.clips]
-        return RefinedMotion(tracked, None)
-    return session.refined()
+        return RefinedMotion(tracked, None), session.clips
+    held = session.held()
+    return held.motion, held.clips
 
 
 def summary(table: pd.DataFrame) -> pd.DataFrame:
