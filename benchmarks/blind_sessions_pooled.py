@@ -49,6 +49,7 @@ LATEST = (
     "fourteenth_medium",
     "second_short",
     "fourth_effects",
+    "third_short",
 )
 """Sets answered since what the catalogue lacks has stand-ins, and contact is a candidate."""
 LAST = ("third_effects", "fourteenth_medium", "second_short", "fourth_effects")

@@ -105,8 +105,8 @@ class SessionSettings:
         boundary: deviation of the boundary positions at a knot [m]: images hardly see their depth.
         held: the same in clips in which nobody moved them (``motion: hang`` or ``release``) and none slips:
             from where the template has them along the line of sight, and across it from where they are in the
-            median frame. No less than ``boundary``: from where the motion has them. Corners that wander lead
-            the cloth astray in depth; corners that are held to 0.3 mm show what the law is wrong by at them;
+            median frame. As wide as ``boundary`` or wider: from where the motion has them. Corners that
+            wander lead the cloth astray in depth; held to 0.3 mm they show what the law is wrong by there;
             see docs/diagnosis/validation.md.
         likelihood_weight: of the images' information: errors of neighbouring points and frames are alike.
         refining: see RefiningSettings.
