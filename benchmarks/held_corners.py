@@ -4,6 +4,7 @@
     python benchmarks/held_corners.py --sessions none:0:21 blender-gusts:3:602 ...
         # makes, tracks and refines first clips of sessions that session_ladder names, and adds them first;
         # a quarter of an hour of one core each
+
 With every width a motion is refined, and all hypotheses are fitted around it with that width as well. What
 is found is kept in outputs/held_corners, so that it goes on where it was. Answers are by the package's
 weights.
@@ -13,14 +14,14 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import torch
-from holders import chance_of_slip, seen_in
+from holders import added, chance_of_slip, seen_in
 from opened_session import OpenedSession, opened
 from session_hypotheses import hypotheses
 from session_ladder import BLENDER, REFINED, cause_of, evidence_columns, made
@@ -37,18 +38,15 @@ from toile.reports.run_folder import current_git_revision
 
 FOLDER = Path("outputs") / "held_corners"
 TABLE = Path("docs") / "results" / "held_corners.csv"
-WIDTHS: Mapping[str, Mapping[str, float]] = {
-    "10 mm": {"held": 0.01},
-    "2 mm": {"held": 0.002},
-}
-"""Settings of a session by what they let corners do."""
+WIDTHS = {"10 mm": 0.01, "2 mm": 0.002}
+"""Values of ``session_model.held`` [m]."""
 _KEPT = ("session", "width")
 
 
 @denormals_flushed()
 def found(session: OpenedSession, folder: Path, width: str) -> list[dict[str, object]]:
     """Every hypothesis of a first clip, refined and compared with one width."""
-    settings = replace(session.together, **WIDTHS[width])
+    settings = replace(session.together, held=WIDTHS[width])
     held = session.held(settings, f"_{width.replace(' ', '_')}")
     motion, (clip,) = held.motion, held.clips
     scene = clip.problem.scene
@@ -168,15 +166,6 @@ def page(table: pd.DataFrame) -> str:
     )
 
 
-def with_rows(table: pd.DataFrame, new: pd.DataFrame) -> pd.DataFrame:
-    """The table with new rows; of a session and width that are in both, the new ones."""
-    if table.empty or new.empty:
-        return new if table.empty else table
-    mine = pd.MultiIndex.from_frame(new[list(_KEPT)])
-    theirs = pd.MultiIndex.from_frame(table[list(_KEPT)])
-    return pd.concat([table[~theirs.isin(mine)], new], ignore_index=True)
-
-
 def measured(names: Sequence[str], widths: Sequence[str]) -> pd.DataFrame:
     """All rows of these sessions with these widths; what is kept is not found anew."""
     rows: list[dict[str, object]] = []
@@ -202,7 +191,7 @@ def main() -> None:
     torch.set_num_threads(1)
     register_resolvers()
     table = pd.read_csv(TABLE) if TABLE.is_file() else pd.DataFrame()
-    table = with_rows(table, measured(given.sessions, given.widths))
+    table = added(table, measured(given.sessions, given.widths), _KEPT)
     write_text(TABLE, table.to_csv(index=False, float_format="%.5g"))
     write_text(TABLE.with_suffix(".md"), page(table))
 

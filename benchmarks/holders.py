@@ -151,10 +151,12 @@ def updated(path: Path, rows: Sequence[Mapping[str, object]]) -> pd.DataFrame:
     return table
 
 
-def added(table: pd.DataFrame, new: pd.DataFrame) -> pd.DataFrame:
-    """The table with new rows; sessions that are in both have the new one."""
-    before = table[~table["session"].isin(new["session"])] if len(table) else table
-    return pd.concat([before, new], ignore_index=True)
+def added(table: pd.DataFrame, new: pd.DataFrame, keys: Sequence[str] = ("session",)) -> pd.DataFrame:
+    """The table with new rows; what is in both by these columns has the new ones."""
+    if table.empty or new.empty:
+        return new if table.empty else table
+    mine, theirs = (pd.MultiIndex.from_frame(rows[list(keys)]) for rows in (new, table))
+    return pd.concat([table[~theirs.isin(mine)], new], ignore_index=True)
 
 
 def learnt(table: pd.DataFrame) -> SessionWeights:

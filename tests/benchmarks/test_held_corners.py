@@ -84,7 +84,7 @@ def test_the_right_answer_is_that_of_the_cause(program: ModuleType) -> None:
 
 def test_a_session_that_is_there_is_replaced(program: ModuleType) -> None:
     before = pd.concat([session("none", "2 mm", NATS), session("none", "10 mm", NATS)])
-    after = program.with_rows(before, session("none", "2 mm", {"gusts": 1.0}))
+    after = program.added(before, session("none", "2 mm", {"gusts": 1.0}), program._KEPT)
     assert list(after.groupby("width").size()[["10 mm", "2 mm"]]) == [len(NATS), 1]
-    assert len(program.with_rows(pd.DataFrame(), before)) == len(before)
-    assert len(program.with_rows(before, pd.DataFrame())) == len(before)
+    assert len(program.added(pd.DataFrame(), before)) == len(before)
+    assert len(program.added(before, pd.DataFrame())) == len(before)

@@ -9,14 +9,9 @@ from typing import Any
 from toile.diagnosis.fingerprint import fingerprint
 from toile.diagnosis.holder_slips import let_go
 from toile.diagnosis.pipeline import Pipeline, PipelineStage
+from toile.diagnosis.results import TrackedMotion
 from toile.diagnosis.session_settings import SessionSettings
-from toile.diagnosis.session_stages import (
-    RefinedMotion,
-    SeenClip,
-    loosening_stage,
-    refining_anew_stage,
-    refining_stage,
-)
+from toile.diagnosis.session_stages import RefinedMotion, SeenClip, loosened, refined_motion
 from toile.diagnosis.session_weights import SessionWeights
 from toile.workers import ALONE, Workers
 
@@ -65,13 +60,28 @@ def held_motion(
         kept: gives a stage another name and file.
     """
     made, found = dict(made_from), list(clips)
-    first = kept(refining_stage(found, settings, stiffness, made, workers))
-    motion = pipeline.run(first, *(clip.tracked for clip in found))
+
+    def stage(name: str, doing: str, share: float, compute: Callable[..., RefinedMotion]) -> Stage:
+        file = f"{name.replace(' ', '_')}.npz"
+        return kept(PipelineStage(name, file, doing, share, RefinedMotion, compute, made))
+
+    def of_tracked(*tracked: TrackedMotion) -> RefinedMotion:
+        return refined_motion(found, settings, stiffness, workers)
+
+    def loose(motion: RefinedMotion) -> RefinedMotion:
+        return loosened(found, motion, settings, stiffness, workers)
+
+    def of_loose(motion: RefinedMotion) -> RefinedMotion:
+        return refined_motion(found, settings, stiffness, workers, motion)
+
+    refining = stage("refined", "motion, refined by the base model", 0.45, of_tracked)
+    motion = pipeline.run(refining, *(clip.tracked for clip in found))
     if not settings.looks_for_slips or not any(clip.held_still for clip in found):
         return HeldMotion(found, motion, motion, made)
-    holders = pipeline.run(kept(loosening_stage(found, settings, stiffness, made, workers)), motion)
+    holders = pipeline.run(stage("loosened", "what holds the cloth", 0.49, loose), motion)
     found = let_go(found, holders.positions, settings.slip, SessionWeights.load().slip_threshold)
     if any(clip.let_go for clip in found):
         made = {**made, "let go": fingerprint([clip.let_go for clip in found])}
-        motion = pipeline.run(kept(refining_anew_stage(found, settings, stiffness, made, workers)), holders)
+        doing = "motion, refined with what holds the cloth let go"
+        motion = pipeline.run(stage("let go", doing, 0.49, of_loose), holders)
     return HeldMotion(found, motion, holders, made)

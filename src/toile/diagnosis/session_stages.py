@@ -307,8 +307,9 @@ def refined_motion(
         workers: share the windows of a clip.
         begin: another motion, to be refined in place of the tracked one.
     """
-    motion = RefinedMotion([clip.tracked.positions[: clip.n_frames] for clip in clips], None)
-    if begin is not None:
+    if begin is None:
+        motion = RefinedMotion([clip.tracked.positions[: clip.n_frames] for clip in clips], None)
+    else:
         motion = RefinedMotion(begin.positions, begin.values, begin.error)
     s = settings.refining
     coarse = replace(settings, side=min(s.side, settings.side))
@@ -481,54 +482,6 @@ def _joint(
         return joint
     pairs = zip(joint.windows, motion.unknowns[k], strict=True)
     return replace(joint, windows=[replace(window, standardised=own) for window, own in pairs])
-
-
-def refining_stage(
-    clips: Sequence[SeenClip],
-    settings: SessionSettings,
-    stiffness: tuple[float, float, float],
-    made_from: Mapping[str, str],
-    workers: Workers,
-) -> PipelineStage[*tuple[TrackedMotion, ...], RefinedMotion]:
-    """See refined_motion; made from the tracked motion of all clips."""
-
-    def compute(*tracked: TrackedMotion) -> RefinedMotion:
-        return refined_motion(clips, settings, stiffness, workers)
-
-    doing = "motion, refined by the base model"
-    return PipelineStage("refined motion", "refined.npz", doing, 0.45, RefinedMotion, compute, made_from)
-
-
-def loosening_stage(
-    clips: Sequence[SeenClip],
-    settings: SessionSettings,
-    stiffness: tuple[float, float, float],
-    made_from: Mapping[str, str],
-    workers: Workers,
-) -> PipelineStage[RefinedMotion, RefinedMotion]:
-    """See loosened; made from the refined motion."""
-
-    def compute(motion: RefinedMotion) -> RefinedMotion:
-        return loosened(clips, motion, settings, stiffness, workers)
-
-    doing = "what holds the cloth"
-    return PipelineStage("loosened motion", "loosened.npz", doing, 0.49, RefinedMotion, compute, made_from)
-
-
-def refining_anew_stage(
-    clips: Sequence[SeenClip],
-    settings: SessionSettings,
-    stiffness: tuple[float, float, float],
-    made_from: Mapping[str, str],
-    workers: Workers,
-) -> PipelineStage[RefinedMotion, RefinedMotion]:
-    """See refined_motion; made from the loosened motion, with what does not stay let go."""
-
-    def compute(motion: RefinedMotion) -> RefinedMotion:
-        return refined_motion(clips, settings, stiffness, workers, motion)
-
-    doing = "motion, refined with what holds the cloth let go"
-    return PipelineStage("let go", "let_go.npz", doing, 0.49, RefinedMotion, compute, made_from)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import toile.diagnosis.held_motion as held
-import toile.diagnosis.session_stages as stages
 from toile.diagnosis.held_motion import HeldMotion, held_motion
 from toile.diagnosis.session_settings import SessionSettings
 from toile.diagnosis.session_stages import RefinedMotion, SeenClip
@@ -51,8 +50,8 @@ def found(
         assert positions is LOOSENED.positions
         return [replace(one, let_go=slips) for one in clips]
 
-    monkeypatch.setattr(stages, "refined_motion", refined)
-    monkeypatch.setattr(stages, "loosened", loosened)
+    monkeypatch.setattr(held, "refined_motion", refined)
+    monkeypatch.setattr(held, "loosened", loosened)
     monkeypatch.setattr(held, "let_go", let_go)
     pipeline: Any = _Pipeline()
     made_from = {"clip": "1"}
