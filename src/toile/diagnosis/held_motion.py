@@ -61,9 +61,9 @@ def held_motion(
     """
     made, found = dict(made_from), list(clips)
 
-    def stage(name: str, doing: str, share: float, compute: Callable[..., RefinedMotion]) -> Stage:
-        file = f"{name.replace(' ', '_')}.npz"
-        return kept(PipelineStage(name, file, doing, share, RefinedMotion, compute, made))
+    def stage(file: str, doing: str, share: float, compute: Callable[..., RefinedMotion]) -> Stage:
+        name = f"{file.replace('_', ' ')} motion"
+        return kept(PipelineStage(name, f"{file}.npz", doing, share, RefinedMotion, compute, made))
 
     def of_tracked(*tracked: TrackedMotion) -> RefinedMotion:
         return refined_motion(found, settings, stiffness, workers)
@@ -83,5 +83,5 @@ def held_motion(
     if any(clip.let_go for clip in found):
         made = {**made, "let go": fingerprint([clip.let_go for clip in found])}
         doing = "motion, refined with what holds the cloth let go"
-        motion = pipeline.run(stage("let go", doing, 0.49, of_loose), holders)
+        motion = pipeline.run(stage("let_go", doing, 0.49, of_loose), holders)
     return HeldMotion(found, motion, holders, made)

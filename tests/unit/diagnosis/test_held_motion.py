@@ -26,6 +26,7 @@ class _Pipeline:
         self.ran: list[tuple[str, dict[str, str]]] = []
 
     def run(self, stage: Any, *inputs: Any) -> Any:
+        assert stage.name.endswith(" motion")
         self.ran.append((stage.file, dict(stage.made_from)))
         return stage.compute(*inputs)
 
