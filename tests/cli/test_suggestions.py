@@ -26,6 +26,7 @@ import pytest
         (("fit", "scene=R1", "areal_density=0.2"), "Did you mean cloth.areal_density?"),
         (("fit", "scene=R1", "optimization=traking"), "Did you mean optimization=tracking?"),
         (("fit", "scene=R1", "optimization=tracking", "effect=air_drg"), "Did you mean effect=air_drag?"),
+        (("diagnose", "scene=R1", "effect@candidates=[gusts,air_drg]"), "Did you mean air_drag?"),
         (("fit", "-m", "scene=R1", "optimization=traking,adam"), "Did you mean optimization=tracking?"),
         (("masks", "video=x", "scene=y", "methd=grabcut"), "Did you mean method?"),
         (("doctor", "scene=R1", "--cfg", "job", "scene.n_frmes=3"), "Did you mean scene.n_frames?"),
@@ -53,3 +54,12 @@ def test_choices_of_the_users_own_folder(toile, tmp_path) -> None:
     (tmp_path / "mine" / "loss" / "homemade.yaml").write_text("{}\n")
     _, _, err = toile("fit", "--config-dir", "mine", "scene=R1", "loss=homemad")
     assert "Did you mean loss=homemade?" in err
+
+
+def test_choices_of_a_list_are_named(toile) -> None:
+    """Hydra says no more there than that it could not load one."""
+    status, out, err = toile("diagnose", "scene=R1", "effect@candidates=[typo]")
+    assert (status, out) == (2, "")
+    assert "Available options in 'effect':" in err
+    assert "\tair_drag\n" in err
+    assert "did you mean" not in err.lower()

@@ -12,6 +12,8 @@ from toile import former_names
 
 _NO_KEY = re.compile(r"Could not override '([^']+)'")
 _NO_CHOICE = re.compile(r"Could not find '([^']+)/([^'/]+)'")
+_NONE_OF_A_LIST = re.compile(r"Could not load '([^']+)/([^'/]+)'")
+"""As of effect@candidates=[...], where Hydra names no choices."""
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
@@ -32,6 +34,9 @@ def suggestion(error: Exception, command: str, arguments: Sequence[str]) -> str:
         arguments: flags and overrides that Hydra has seen.
     """
     message = str(error)
+    of_list = _NONE_OF_A_LIST.search(message)
+    if of_list:
+        return _choices(*of_list.groups(), arguments)
     key, choice = _NO_KEY.search(message), _NO_CHOICE.search(message)
     if not (key or choice):
         return ""
@@ -49,15 +54,35 @@ def suggestion(error: Exception, command: str, arguments: Sequence[str]) -> str:
     return f"\nDid you mean {near}?" if near else ""
 
 
-def _without(wrong: str, command: str, arguments: Sequence[str]) -> tuple[Any, dict[str, list[str]]]:
-    """The command's settings and groups without the override that is wrong."""
+def _choices(group: str, wrong: str, arguments: Sequence[str]) -> str:
+    """All choices of a group in Hydra's form, and the nearest to a wrong one."""
+    from toile.cli.configuration import CONF
+    from toile.cli.groups import group_choices
+
+    more = _arguments(arguments).config_dir
+    known = group_choices([CONF] if more is None else [CONF, Path(more)]).get(group, [])
+    if not known:
+        return ""
+    near = difflib.get_close_matches(wrong, known, n=1)
+    lines = ["", "", f"Available options in '{group}':", *(f"\t{name}" for name in known)]
+    return "\n".join(lines + [f"Did you mean {name}?" for name in near])
+
+
+def _arguments(arguments: Sequence[str]) -> Any:
+    """Flags and overrides as Hydra parses them."""
     # Here, because a wrong command needs none of it.
     from hydra._internal.utils import get_args_parser
+
+    return get_args_parser().parse_args(list(arguments))
+
+
+def _without(wrong: str, command: str, arguments: Sequence[str]) -> tuple[Any, dict[str, list[str]]]:
+    """The command's settings and groups without the override that is wrong."""
     from hydra.errors import HydraException
 
     from toile.cli.shown import composed
 
-    given: Any = get_args_parser().parse_args(list(arguments))
+    given = _arguments(arguments)
     others = [o for o in given.overrides if o.lstrip("+~").partition("=")[0].partition("@")[0] != wrong]
     more = None if given.config_dir is None else Path(given.config_dir)
     try:
