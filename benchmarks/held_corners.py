@@ -4,6 +4,8 @@
     python benchmarks/held_corners.py --sessions none:0:21 blender-gusts:3:602 ...
         # makes, tracks and refines first clips of sessions that session_ladder names, and adds them first;
         # a quarter of an hour of one core each
+    python benchmarks/held_corners.py --widths "2 mm" --sessions blender-none:0:702 ...
+        # with one width alone, to learn weights from (session_weights.py)
 
 With every width a motion is refined, and all hypotheses are fitted around it with that width as well. What
 is found is kept in outputs/held_corners, so that it goes on where it was. Answers are by the package's
@@ -141,7 +143,8 @@ def page(table: pd.DataFrame) -> str:
     digits = {"motion off by [%]": 2, "corners off by [%]": 2, "the model's errors [%]": 3}
     digits |= {"change of size [%]": 2, "slip [nats]": 1, "cause [nats]": 1, "its nats": 1, "right answer": 2}
     shown = lines.round(digits).astype(object)
-    means = lines.groupby("corners may wander by", sort=False)[
+    of_both = lines.groupby("session")["session"].transform("size") == len(WIDTHS)
+    means = lines[of_both].groupby("corners may wander by", sort=False)[
         ["motion off by [%]", "corners off by [%]", "the model's errors [%]", "right answer"]
     ]
     return "\n".join(
@@ -158,7 +161,7 @@ def page(table: pd.DataFrame) -> str:
             "",
             shown.where(shown.notna(), "–").to_markdown(index=False),
             "",
-            "Means:",
+            "Means over the clips with both:",
             "",
             means.mean().round(3).assign(clips=means.size()).reset_index().to_markdown(index=False),
             "",

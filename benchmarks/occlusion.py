@@ -22,8 +22,7 @@ import pandas as pd
 from holders import SHARE, parted, ship, updated
 from opened_session import opened
 from scipy.special import expit
-from session_ladder import BLENDER, cause_of, made
-from session_weights import NEVER_LEARNT_FROM
+from session_ladder import BLENDER, NEVER_LEARNT_FROM, cause_of, made
 
 from toile.atomic_file import write_text
 from toile.cli.configuration import register_resolvers

@@ -44,6 +44,8 @@ from toile.reports.run_folder import current_git_revision
 FOLDER = Path("outputs") / "session_ladder"
 BLENDER = "blender-"
 """Before the name of an effect: Blender makes the session."""
+NEVER_LEARNT_FROM = "mujoco"
+"""An engine for sealed sets alone."""
 _FORCE = 0.3
 """Of each mode of the free force of a rung [m/s²]."""
 WITHOUT_TRACE = ("gravity_tilt", "anchor_slip")

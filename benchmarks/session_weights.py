@@ -1,14 +1,15 @@
 """Learn what evidence of a session is worth: docs/results/session_weights.md, and the package's weights.
 
-    python benchmarks/session_weights.py  # from docs/results/session_evidence_finer.csv
+    python benchmarks/session_weights.py
+        # from docs/results/held_corners.csv, session_evidence_held.csv
     python benchmarks/session_weights.py --graded outputs/blind_predictions/NAME=MARKS.csv
         # adds a graded set first, or FOLDER alone: diagnoses of sessions of the ladder, by name
     python benchmarks/session_weights.py --clips 3 --graded ...  # from three clips, not the first
     python benchmarks/session_weights.py --ship  # puts what is best on these cases into the package
     python benchmarks/session_weights.py --into TABLE.csv --graded ...  # keeps them, nothing is learnt
 
-Evidence is worth what the model is wrong by, so only models as fine as those of today teach; the other tables
-are of models of 14 x 14 even vertices.
+Evidence is worth what the model and the motion are wrong by, so only those of today teach; the other tables
+are of corners that may wander by 10 mm, or of models of 14 x 14 even vertices.
 
 Weights are judged on an engine that they were not learnt from. Sessions of the engine that is for sealed sets
 alone never teach.
@@ -25,8 +26,10 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from held_corners import TABLE as HELD_CORNERS
+from held_corners import WIDTHS
 from numpy.typing import NDArray
-from session_ladder import BLENDER, REFINED, cause_of, evidence_columns
+from session_ladder import BLENDER, NEVER_LEARNT_FROM, REFINED, cause_of, evidence_columns
 
 from toile.atomic_file import write_text
 from toile.diagnosis.decision import NONE, UNKNOWN
@@ -58,17 +61,15 @@ LEFT_OUT = ("gravity_tilt",)
 
 _FREED_SIZE = "moves the cloth from outside by [% of the width]"
 
-FINER = RESULTS / "session_evidence_finer.csv"
-"""Evidence of sessions with open labels, the sealed sets' among them, by models of 20 x 20 vertices."""
+HELD = RESULTS / "session_evidence_held.csv"
+"""Evidence of sealed sessions after grading, by motions whose corners are held."""
 SIZES_SEEN = RESULTS / "holders.csv"
 """By how much sides seem to change, by session: benchmarks/holders.py."""
-NEVER_LEARNT_FROM = "mujoco"
-"""An engine for sealed sets alone."""
 FIXED = (
     "outside_spread",
-    *(f.name for f in fields(SessionWeights) if f.name.startswith(("resiz", "slip_"))),
+    *(f.name for f in fields(SessionWeights) if f.name.startswith(("resiz", "cover", "slip_"))),
 )
-"""Learnt elsewhere: benchmarks/outside_causes.py, holders.py."""
+"""Learnt elsewhere: benchmarks/outside_causes.py, holders.py, occlusion.py."""
 RIVALS = (1e9, 32.0, 16.0, 8.0, 4.0)
 """Values of ``rivals`` among which one is chosen [nats]; with the first the law is not asked."""
 _EQUAL = 0.01
@@ -200,11 +201,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     help_ = "FOLDER=MARKS.csv of graded sets, FOLDER of others"
     parser.add_argument("--graded", nargs="+", default=[], help=help_)
-    parser.add_argument("--into", type=Path, default=FINER, help="another table than that which teaches")
+    parser.add_argument("--into", type=Path, default=HELD, help="another table than that which teaches")
     parser.add_argument("--clips", type=int, choices=RUNGS, default=1, help="that --graded is from")
     parser.add_argument("--ship", action="store_true", help="put the weights into the package")
     given = parser.parse_args()
-    if given.into != FINER and not given.graded:
+    if given.into != HELD and not given.graded:
         parser.error("--into: expected --graded beside it, got nothing to keep")
     for one in given.graded:
         folder, _, marks = str(one).partition("=")
@@ -221,14 +222,20 @@ def main() -> None:
             again = there["session"].isin(new["session"]) & (there["rung"] == rung)
             new = pd.concat([there[~again], new])
         write_text(given.into, new.to_csv(index=False, float_format="%.5g"))
-    if given.into != FINER:
+    if given.into != HELD:
         return
     write(known_cases(), ship=given.ship)
 
 
 def known_cases() -> dict[str, list[SessionCase]]:
     """Cases with open labels by the engine that made them."""
-    return {str(engine): cases_of(own) for engine, own in pd.read_csv(FINER).groupby("engine")}
+    usual = SessionSettings().held
+    (width,) = (name for name, value in WIDTHS.items() if value == usual)
+    held = pd.read_csv(HELD_CORNERS)
+    tables = [held[held["width"] == width].assign(resized=held["change of size [%]"] / 100)]
+    if HELD.is_file():
+        tables.append(pd.read_csv(HELD))
+    return {str(engine): cases_of(own) for engine, own in pd.concat(tables).groupby("engine", sort=False)}
 
 
 def write(cases: Mapping[str, Sequence[SessionCase]], *, ship: bool) -> None:
@@ -283,11 +290,11 @@ def write(cases: Mapping[str, Sequence[SessionCase]], *, ship: bool) -> None:
     lines = [
         "# Weights of a session's evidence",
         "",
-        "Made by `python benchmarks/session_weights.py` from `session_evidence_finer.csv` (first clips of "
-        "sealed sets after grading and of sessions of the ladder, by models of 20 × 20 crowded vertices) "
-        f"and `holders.csv`: {len(everything)} cases of {n} generated sessions of {len(teaching)} engines, "
-        "open labels. Development data, no blind check; `strange` and `strangeness` are set by hand, the "
-        "spread of sizes from outside is of [outside_causes.md](outside_causes.md), weights of the "
+        "Made by `python benchmarks/session_weights.py` from `held_corners.csv` (first clips of sessions of "
+        "the ladder's kind) and `session_evidence_held.csv` (sealed sets after grading), by motions whose "
+        f"corners are held to 2 mm: {len(everything)} cases of {n} generated sessions of {len(teaching)} "
+        "engines, open labels. Development data, no blind check; `strange` and `strangeness` are set by "
+        "hand, the spread of sizes from outside is of [outside_causes.md](outside_causes.md), weights of the "
         "apparent size and of slips of [holders.md](holders.md).",
         "",
         "## An engine that taught nothing",

@@ -79,7 +79,16 @@ def test_the_right_answer_is_that_of_the_cause(program: ModuleType) -> None:
     assert pd.isna(found["cause [nats]"]["none_3_1"])
     page = program.page(table)
     assert "nan" not in page
-    assert "clips" in page
+
+
+def test_means_are_of_clips_with_both_widths(program: ModuleType) -> None:
+    both = [session("none", width, NATS) for width in ("10 mm", "2 mm")]
+    alone = session("air_drag", "2 mm", NATS).assign(**{"motion off by [% of the width]": 3.0})
+    _, means = program.page(pd.concat([*both, alone])).split("Means")
+    lines = [line.split("|")[1:-1] for line in means.splitlines() if line.startswith("| ")]
+    assert [line[0].strip() for line in lines[1:]] == ["10 mm", "2 mm"]
+    # The third clip is 3 % off.
+    assert [(float(line[1]), int(line[-1])) for line in lines[1:]] == [(0.5, 1), (0.5, 1)]
 
 
 def test_a_session_that_is_there_is_replaced(program: ModuleType) -> None:

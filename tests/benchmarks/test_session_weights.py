@@ -55,3 +55,23 @@ def test_first_clip_and_session_are_two_cases(
     assert three.evidence.effects["air_drag"].drop == pytest.approx(60.0)
     # What the cloth looks like decides as well.
     assert (one.evidence.covered, three.evidence.covered) == (None, 0.07)
+
+
+def test_only_motions_as_they_are_found_today_teach(
+    program: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of corners that may wander by 10 mm, which another width of the same table is of, nothing is learnt."""
+    rows = []
+    for width, engine, drag in (("2 mm", "toile", 40.0), ("10 mm", "toile", 20.0), ("2 mm", "blender", 30.0)):
+        folder = tmp_path / f"{width}_{engine}" / f"{engine}_air_drag_3"
+        diagnosed(folder, drag)
+        own = program._rows(folder, folder.name, engine, "air_drag", program.REFINED)
+        rows += [{**row, "width": width, "change of size [%]": -2.0} for row in own]
+    pd.DataFrame(rows).to_csv(tmp_path / "held.csv", index=False)
+    monkeypatch.setattr(program, "HELD_CORNERS", tmp_path / "held.csv")
+    monkeypatch.setattr(program, "HELD", tmp_path / "none.csv")
+    known = program.known_cases()
+    (own,), (others,) = known["toile"], known["blender"]
+    assert own.evidence.effects["air_drag"].drop == pytest.approx(40.0)
+    assert others.evidence.effects["air_drag"].drop == pytest.approx(30.0)
+    assert own.evidence.resized == pytest.approx(-0.02)

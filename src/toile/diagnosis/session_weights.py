@@ -325,8 +325,12 @@ class MotionEvidence:
         return _nats(self.effects[name], self.scale)
 
     def freed_nats(self, name: str) -> float:
-        """Log evidence of a cause from outside, the forces within the cloth free."""
-        return _nats(self.outside[name], 1.0)
+        """Log evidence of a cause from outside, the forces within the cloth free.
+
+        They take up what a law is usually wrong by. Where all hypotheses leave more, the motion itself is in
+        doubt, and the misfit beside free forces is too large by as much.
+        """
+        return _nats(self.outside[name], max(1.0, self.over_usual))
 
     @property
     def scale(self) -> float:

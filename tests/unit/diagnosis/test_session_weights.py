@@ -109,6 +109,20 @@ def test_causes_from_outside_are_judged_by_what_free_forces_leave_alone() -> Non
     assert found["air_drag"] > 0.99 > 0.01 > found["nonuniform_density"]
 
 
+def test_a_motion_that_no_hypothesis_fits_says_less_beside_free_forces() -> None:
+    """Gusts were named by 48 nats where the cloth curls and the motion is off by 3 % of the width."""
+    base = replace(evidence((3.0, 3.0, 3.0)).base, cost=130.0, expected=120.0)
+    outside = {"air_drag": evidence((40.0, 2.0, 2.0)).effects["air_drag"]}
+    usual = replace(evidence((3.0, 3.0, 3.0)), base=base, outside=outside)
+    strange = replace(usual, base=replace(base, share=2 * base.share))
+    less = replace(usual, base=replace(base, share=0.5 * base.share))
+    assert chances(usual, SessionWeights())["air_drag"] > 0.99
+    assert strange.freed_nats("air_drag") < usual.freed_nats("air_drag") / 3
+    assert chances(strange, SessionWeights())["air_drag"] < 0.2
+    # Images that are explained better than usual know no more.
+    assert less.freed_nats("air_drag") == outside["air_drag"].nats()
+
+
 def rivals(of_law: tuple[float, float], freed: tuple[float, float] = (60.0, 57.0)) -> MotionEvidence:
     """Drag and damping as if both came from outside, with what law and free forces say of them [nats]."""
     outside = dict(list(evidence((*freed, 2.0)).effects.items())[:2])
