@@ -17,6 +17,9 @@ from toile.effects.base import MassEffect, Parameter, Stage, Surroundings
 
 Array = NDArray[np.float64]
 
+_LINEAR = 0.5
+"""Share of its mass that a vertex loses as the strip says."""
+
 
 class Hem(MassEffect):
     """Mass of a strip along all borders that lies double, in addition; negative: that is missing."""
@@ -29,10 +32,22 @@ class Hem(MassEffect):
     SOURCE: ClassVar[str] = "ours: the smallest change of mass that a border without cells of its own allows"
 
     def masses(self, masses: Tensor, around: Surroundings) -> Tensor:
-        """See MassEffect."""
+        """See MassEffect.
+
+        Of what is missing no vertex loses all: from half of its mass on it loses less and less. Corners of a
+        crowded grid, a few millimetres across, had a mass below zero.
+        """
         if not self.is_active:
             return masses
-        return masses + self.values[0] * torch.from_numpy(border_strip(around))
+        more = self.values[0] * torch.from_numpy(border_strip(around)) / masses
+        return masses * torch.where(more > -_LINEAR, 1 + more, _falling(more))
+
+
+def _falling(more: Tensor) -> Tensor:
+    """What is left of a mass: an exponential that goes on from 1 + more at -_LINEAR with the same slope."""
+    least = 1 - _LINEAR
+    # Not above there, where it is not asked for and would overflow.
+    return least * torch.exp((more.clamp(max=-_LINEAR) + _LINEAR) / least)
 
 
 def border_strip(around: Surroundings) -> Array:
