@@ -36,7 +36,7 @@ def suggestion(error: Exception, command: str, arguments: Sequence[str]) -> str:
     message = str(error)
     of_list = _NONE_OF_A_LIST.search(message)
     if of_list:
-        return _choices(*of_list.groups(), arguments)
+        return _choices(of_list.group(1), of_list.group(2), arguments)
     key, choice = _NO_KEY.search(message), _NO_CHOICE.search(message)
     if not (key or choice):
         return ""
