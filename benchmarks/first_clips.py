@@ -3,7 +3,7 @@
     python benchmarks/first_clips.py outputs/blind/NAME/scenes/SESSION outputs/session_ladder/SESSION ...
         # keeps the evidence of each in outputs/first_clips/SESSION, and leaves what is there
     python benchmarks/session_weights.py --graded outputs/first_clips outputs/first_clips=MARKS.csv
-        # adds it to docs/results/session_evidence_finer.csv
+        # adds it to docs/results/session_evidence_held.csv
     python benchmarks/first_clips.py --all-clips outputs/session_ladder/SESSION ...
         # the same of all clips of each, in outputs/all_clips: session_weights.py --clips 3
 

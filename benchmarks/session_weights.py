@@ -45,7 +45,7 @@ from toile.diagnosis.session_weights import (
     lapsed_loss,
     learnt_weights,
 )
-from toile.effects.catalogue import STAND_INS
+from toile.effects.catalogue import PUSHING, STAND_INS
 from toile.generation.out_of_family.catalogue import OUTSIDE
 
 Array = NDArray[np.float64]
@@ -111,9 +111,12 @@ def cases_of(table: pd.DataFrame) -> list[SessionCase]:
         freed_sizes = {
             str(name): row[_FREED_SIZE] / 100
             for name, row in by_name.iterrows()
-            if name in STAND_INS and _FREED_SIZE in row
+            if np.isfinite(row.get(_FREED_SIZE, np.nan))
         }
-        sizes = {n: max(one, freed_sizes.get(n, one)) for n, one in evidence.sizes.items()}
+        # As a diagnosis has them: of causes from outside beside free forces, of stand-ins the larger.
+        sizes = dict(evidence.sizes)
+        sizes |= {n: size for n, size in freed_sizes.items() if n not in (*PUSHING, *STAND_INS)}
+        sizes |= {n: max(sizes[n], freed_sizes[n]) for n in STAND_INS if n in sizes and n in freed_sizes}
         resized = _looked(own, "resized")
         if resized is None and session in seen.index:
             resized = float(seen[session])

@@ -66,7 +66,8 @@ def test_only_motions_as_they_are_found_today_teach(
         folder = tmp_path / f"{width}_{engine}" / f"{engine}_air_drag_3"
         diagnosed(folder, drag)
         own = program._rows(folder, folder.name, engine, "air_drag", program.REFINED)
-        rows += [{**row, "width": width, "change of size [%]": -2.0} for row in own]
+        seen = {"change of size [%]": -2.0, program._FREED_SIZE: 1.5}
+        rows += [{**row, "width": width, **seen} for row in own]
     pd.DataFrame(rows).to_csv(tmp_path / "held.csv", index=False)
     monkeypatch.setattr(program, "HELD_CORNERS", tmp_path / "held.csv")
     monkeypatch.setattr(program, "HELD", tmp_path / "none.csv")
@@ -75,3 +76,5 @@ def test_only_motions_as_they_are_found_today_teach(
     assert own.evidence.effects["air_drag"].drop == pytest.approx(40.0)
     assert others.evidence.effects["air_drag"].drop == pytest.approx(30.0)
     assert own.evidence.resized == pytest.approx(-0.02)
+    # A drag is as large as it is beside free forces; under the law it had 3 %.
+    assert own.evidence.sizes["air_drag"] == pytest.approx(0.015)

@@ -32,7 +32,7 @@ def test_a_hem_weighs_what_its_strip_does() -> None:
 
 @pytest.mark.parametrize("width", [-0.05, -0.02])
 def test_no_vertex_loses_all_of_its_mass(width: float) -> None:
-    """Corners of a crowded grid had less than none, where a fit ended without a word."""
+    """Corners of a crowded grid had less than none, where a fit ended in an error."""
     assert float((CLOTH.masses + width * torch.from_numpy(border_strip(AROUND))).min()) < 0
     assert float(masses(width).min()) > 0
 
