@@ -355,6 +355,11 @@ def test_gusts_of_a_session_have_the_modes_that_its_longest_clip_asks_for(clip: 
     session = f"session={tmp_path}"
     assert modes(session) == [2, 2]
     assert modes(session, "candidates.gusts.n_modes=5") == [5, 5]
+    (tmp_path / "session.yaml").write_text(
+        f"clips: [{{scene: {clip}, motion: release}}, {{scene: {again}, motion: shake}}]\n"
+    )
+    # Where no wind blew in a clip, gusts have a mean.
+    assert modes(session) == [3, 3]
     assert modes("scene=native", f"scene.name={clip}") == [6]
 
 

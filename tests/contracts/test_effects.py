@@ -1,6 +1,7 @@
 """One suite over every effect of the catalogue: identity at zero, gradients, bounds, what a user reads."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -31,6 +32,7 @@ from toile.effects.obstacles import Plane, Sphere, TriangleMesh
 from toile.effects.setting import active_terms, setting
 from toile.errors import InputError
 from toile.geometry.camera import Camera
+from toile.geometry.horizontal import horizontal_axes
 from toile.physics.cloth import grid_cloth, grid_material
 from toile.physics.implicit.integrators import BDF2, BackwardEuler
 from toile.physics.implicit.linearized import LinearizedRollout, Perturbation
@@ -326,6 +328,24 @@ OF_A_LENGTH = ("gusts", "rest_length_drift", "pressure")
 def test_the_length_of_a_clip_changes_no_other_effect(name):
     effect = VARIANTS[name]({})
     assert effect.for_clip(1.58) is effect
+
+
+def test_gusts_have_a_mean_of_their_own_in_still_air_and_elsewhere_the_wind_has_it():
+    gusts = Gusts({"x_1": 0.3, "z_2": -0.5}, n_modes=3)
+    both = gusts.in_still_air()
+    names = [parameter.name for parameter in both.parameters]
+    assert names == [f"{axis}_{k}" for axis in "xz" for k in range(4)]
+    assert both.in_still_air() is both
+    times, calm = AROUND.frame_times(), replace(AROUND, still_air=True)
+    assert torch.equal(both.acceleration(times, calm), gusts.acceleration(times, AROUND))
+    blowing = Gusts({"x_1": 0.3}).in_still_air().for_clip(1.0)
+    values = blowing.values.clone()
+    values[names.index("x_0")] = 2.0
+    blowing = blowing.with_values(values)
+    assert float(blowing.value("x_1")) == 0.3
+    added = blowing.acceleration(times, calm) - blowing.acceleration(times, AROUND)
+    along = horizontal_axes(AROUND.gravity)[0]
+    assert torch.allclose(added, 2.0 * along.expand_as(added), rtol=0, atol=1e-15)
 
 
 def test_gusts_reach_the_same_frequency_in_clips_of_any_length():

@@ -27,6 +27,7 @@ from toile.cli.settings import check_settings
 from toile.cli.terminal import print_path
 from toile.diagnosis.diagnose import diagnose
 from toile.diagnosis.made_with import MadeWith
+from toile.diagnosis.planned_clip import STILL_AIR
 from toile.diagnosis.problem import DiagnosisProblem, check_problem
 from toile.diagnosis.record import DIAGNOSIS_FILE, GapReport
 from toile.diagnosis.session_diagnosis import diagnose_session
@@ -384,6 +385,8 @@ def session_problem(cfg: DictConfig) -> SessionProblem:
             )
     longest = max((scene.n_frames - 1) / scene.fps for scene in scenes)
     effects = tuple(effect.for_clip(longest).in_detail() for effect in clips[0].effects)
+    if any(clip.motion in STILL_AIR for clip in session.clips):
+        effects = tuple(effect.in_still_air() for effect in effects)
     clips = [replace(clip, effects=effects) for clip in clips]
     return SessionProblem(tuple(clips), session, instantiate(cfg.session_model), int(cfg.workers))
 

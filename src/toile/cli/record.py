@@ -38,7 +38,7 @@ INSTRUCTIONS: Mapping[str, Instruction] = {
         "wind and gusts against a cloth that nobody moves",
     ),
     "release": Instruction(
-        "hold both corners still; blow or push the cloth aside, start the camera, let go",
+        "hold both corners still, fan and window shut; push the cloth aside, start the camera, let go",
         "lower edge a fifth of the width aside",
         "drag and damping, from how it comes to rest",
     ),

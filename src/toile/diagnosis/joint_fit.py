@@ -101,8 +101,8 @@ DEFAULT = JointFitSettings()
 _SMOOTHED = 5
 """Frames through which the cubic goes whose slope is the velocity of a start."""
 
-_DRAUGHT = 0.02
-"""Deviation of the wind in a closed room [m/s²]."""
+DRAUGHT = 0.02
+"""Deviation of the wind in still air, that of a closed room [m/s²]."""
 
 _ANY_WIND = 1e3
 """Times the deviation of a wind, and nothing is known of it."""
@@ -129,7 +129,6 @@ class JointClip:
         around: the nominal clip on the model's grid.
         device: that filmed it, from 0.
         windows: as tracked.
-        still_air: whether nothing blew: its wind is that of a closed room.
         wind: with which a fit begins (2,) [m/s²].
         own: effects, at zero, that act elsewhere in every clip, as they are in this one, by name.
     """
@@ -138,7 +137,6 @@ class JointClip:
     around: Surroundings
     device: int
     windows: list[WindowMotion]
-    still_air: bool = False
     wind: tuple[float, ...] = (0.0,) * N_WIND
     own: Mapping[str, Effect] = field(default_factory=dict)
 
@@ -159,7 +157,6 @@ def joint_clip(
     device: int = 0,
     *,
     forces: bool = False,
-    still_air: bool = False,
     velocities: Array | None = None,
     wind: tuple[float, ...] = (0.0,) * N_WIND,
 ) -> JointClip:
@@ -171,12 +168,11 @@ def joint_clip(
         n_frames: frames used.
         device: that filmed it.
         forces: whether windows keep forces of their own, see JointFitSettings.
-        still_air: whether nothing blew.
         velocities: see tracked_windows.
         wind: see JointClip.
     """
     bare = (shooting if forces else shooting.without_forces()).counting_frames_once()
-    return JointClip(bare, around, device, tracked_windows(bare, n_frames, velocities), still_air, wind)
+    return JointClip(bare, around, device, tracked_windows(bare, n_frames, velocities), wind)
 
 
 def tracked_velocities(shooting: Shooting, n_frames: int) -> Array:
@@ -702,7 +698,7 @@ class JointFitting:
         Args:
             evidence: of these clips.
         """
-        winds = [1.0 if clip.still_air else _ANY_WIND for clip in self.clips for _ in range(N_WIND)]
+        winds = [1.0 if clip.around.still_air else _ANY_WIND for clip in self.clips for _ in range(N_WIND)]
         # What the windows' own unknowns leave is the same, and kept.
         other = copy.copy(evidence)
         other.deviations = evidence.deviations * np.concatenate((np.ones(len(self.start)), winds))
@@ -836,8 +832,8 @@ class JointFitting:
 
     def _deviations(self, layout: SharedLayout) -> Array:
         of_clip = base_deviations(self.clips[0].shooting)
-        draught = np.full(N_WIND, _DRAUGHT)
-        winds = [draught if clip.still_air else of_clip[-N_WIND:] for clip in self.clips]
+        draught = np.full(N_WIND, DRAUGHT)
+        winds = [draught if clip.around.still_air else of_clip[-N_WIND:] for clip in self.clips]
         return np.concatenate((of_clip[:-N_WIND], *winds))
 
     def _longest(self, layout: SharedLayout) -> Array:

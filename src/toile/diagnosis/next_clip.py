@@ -24,7 +24,7 @@ from scipy.stats import entropy
 
 from toile.diagnosis.continuity import WindowSystem
 from toile.diagnosis.joint_fit import JointFit, JointFitting
-from toile.diagnosis.planned_clip import planned_clip
+from toile.diagnosis.planned_clip import CALM, planned_clip
 from toile.diagnosis.session_weights import MotionEvidence, SessionWeights, chances
 from toile.effects.base import Effect, Scope
 from toile.physics.simulator import SimulationError
@@ -143,7 +143,7 @@ def expected_gains(
         after[np.ix_(kept, kept)] -= before
         rng = np.random.default_rng(seed)
         gains[motion] = expected_gain(
-            known, after, evidence, weights, n_clips, draws, rng, still_air=clip.still_air
+            known, after, evidence, weights, n_clips, draws, rng, calm=motion == CALM
         )
     return dict(sorted(gains.items(), key=lambda gain: -gain[1]))
 
@@ -157,7 +157,7 @@ def expected_gain(
     draws: int,
     rng: np.random.Generator,
     *,
-    still_air: bool = False,
+    calm: bool = False,
 ) -> float:
     """Expected fall of the entropy of the hypotheses by data that say so much [nats].
 
@@ -169,7 +169,7 @@ def expected_gain(
         n_clips: that the evidence is from.
         draws: for every hypothesis.
         rng: draws.
-        still_air: whether nothing of what the clip alone has acts in it.
+        calm: whether nothing of what the clip alone has acts in it.
     """
     now, then = weights.of_clips(n_clips), weights.of_clips(n_clips + 1)
     odds = evidence.odds(now)
@@ -178,7 +178,7 @@ def expected_gain(
     # Differences of large matrices; what falls below zero is rounding.
     spread = vectors * np.sqrt(np.clip(values, 0.0, None))
     information = spread @ spread.T
-    updates = {name: _Update(one, information, still_air) for name, one in known.items()}
+    updates = {name: _Update(one, information, calm) for name, one in known.items()}
     share = {name: _share(evidence, name) for name in evidence.outside}
     total, left = 0.0, 0.0
     for truth, chance in truths.items():
@@ -189,7 +189,7 @@ def expected_gain(
             if truth in known:
                 one = known[truth]
                 coefficients[one.own] = one.mean + one.spread @ rng.standard_normal(len(one.mean))
-                if not still_air:
+                if not calm:
                     coefficients[one.new] = one.usual * rng.standard_normal(len(one.new))
             # How wrong the law is about this cloth is as unknown as it is to the odds.
             wrong = then.temperature * np.exp(weights.law_spread * rng.standard_normal())
@@ -217,8 +217,8 @@ def _share(evidence: MotionEvidence, name: str) -> float:
 class _Update:
     """Bayes' rule for one effect and data that say so much; all but their score is known before they come."""
 
-    def __init__(self, known: Known, information: Array, still_air: bool) -> None:
-        new = known.new[:0] if still_air else known.new
+    def __init__(self, known: Known, information: Array, calm: bool) -> None:
+        new = known.new[:0] if calm else known.new
         self._at = np.concatenate((known.own, new)).astype(np.intp)
         n, m = len(known.own), len(new)
         before = np.zeros((n + m, n + m))

@@ -54,8 +54,11 @@ PERFORMANCES: Mapping[str, Performance] = {
 HELD_STILL = frozenset(motion for motion, done in PERFORMANCES.items() if done.amplitude == 0)
 """Motions in which nobody moves what holds the cloth."""
 
-STILL_AIR = "fan_off"
-"""Motion in which there is no wind."""
+STILL_AIR = frozenset(motion for motion, done in PERFORMANCES.items() if done.wind == 0)
+"""Motions in which there is no steady wind from frame 0 on."""
+
+CALM = "fan_off"
+"""Motion in which nothing blows, gusts neither."""
 
 _SQUARE = 1e-3
 """Share by which sides may differ."""
@@ -151,8 +154,8 @@ def planned_clip(
     wind = done.wind * _ACROSS
     base = Base(material, wind)
     windows = [shooting.simulate(w, w.standardised, base) for w in tracked_windows(shooting, n_frames)]
-    around = replace(like.around, cloth=cloth, n_frames=n_frames)
-    clip = JointClip(shooting, around, like.device, windows, still_air=motion == STILL_AIR)
+    around = replace(like.around, cloth=cloth, n_frames=n_frames, still_air=motion in STILL_AIR)
+    clip = JointClip(shooting, around, like.device, windows)
     return clip, wind
 
 

@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from toile.diagnosis.joint_fit import JointFit
+from toile.diagnosis.base_fit import N_WIND
+from toile.diagnosis.joint_fit import DRAUGHT, JointClip, JointFit
 from toile.diagnosis.session_stages import SeenClip
 from toile.generation.clip_plan import MOTIONS
 from toile.scenes.scene import Scene
@@ -22,6 +23,9 @@ _MATRICES = 2.3
 
 _ALIKE = 0.01
 """Share by which frame rates and focal lengths of one device may differ."""
+
+_BLOWN = 4.0
+"""Draughts of a closed room from which on a wind is worth a word."""
 
 _MOVED = 0.01
 """Share of the cloth's width by which what holds it moves where somebody moves it."""
@@ -120,6 +124,26 @@ def moved_holders(session: Session, seen: Sequence[SeenClip], motion: Sequence[A
                 f"({', '.join(MOTIONS)})"
             )
     return found
+
+
+def wind_in_still_air(session: Session, clips: Sequence[JointClip], base: JointFit) -> list[str]:
+    """One sentence for every clip whose cloth hangs as in a wind although none is said to have blown.
+
+    Args:
+        session: the clips.
+        clips: the same in the fits.
+        base: fit of the base model.
+    """
+    winds = base.values[len(base.values) - N_WIND * len(clips) :].reshape(-1, N_WIND)
+    strengths = np.linalg.norm(winds, axis=-1)
+    found = zip(session.clip_names, session.clips, clips, strengths, strict=True)
+    return [
+        f"{name}: its cloth hangs as in a wind of {strength:.2g} m/s² or more, although none blew in a "
+        f"clip of motion '{clip.motion}': gusts do that, tilted gravity does, or another motion was recorded "
+        f"({', '.join(MOTIONS)})"
+        for name, clip, fitted, strength in found
+        if fitted.around.still_air and strength > _BLOWN * DRAUGHT
+    ]
 
 
 def stopped_short(base: JointFit, fits: Mapping[str, JointFit]) -> list[str]:

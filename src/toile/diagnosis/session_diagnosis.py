@@ -61,6 +61,7 @@ from toile.diagnosis.session_checks import (
     stopped_short,
     unknown_motions,
     unlike_devices,
+    wind_in_still_air,
 )
 from toile.diagnosis.session_evidence import (
     SessionEvidence,
@@ -240,6 +241,7 @@ def diagnose_session(
     stages = HypothesisStages(model, progress, made_from, workers)
     plain = pipeline.run(stages.plain(0.5), motion)
     base = pipeline.run(stages.usual(0.53), motion, plain)
+    remarkable += _said(wind_in_still_air(session, model.fitting.clips, base))
     if any(effect.NAME == Contact.NAME for effect in effects):
         # It is known what the cloth may touch.
         of_one_clip, weights = replace(of_one_clip, searched=0.0), replace(weights, searched=0.0)

@@ -57,7 +57,7 @@ class SeenClip:
         device: that filmed it, from 0.
         tracked: its motion.
         seen: what its images say beside.
-        still_air: whether nothing blew.
+        still_air: whether no steady wind blew.
         held_still: whether nobody moved the pinned vertices.
         let_go: whether they do not stay all the same, see holder_slips.let_go.
     """
@@ -107,7 +107,7 @@ def seen_clips(
         tracked = pipeline.run(_named(stages.tracking(), k))
         seen = pipeline.run(_named(stages.image_cues(), k), tracked)
         done = "" if motions is None else motions[k]
-        found.append(SeenClip(problem, device, tracked, seen, done == STILL_AIR, done in HELD_STILL))
+        found.append(SeenClip(problem, device, tracked, seen, done in STILL_AIR, done in HELD_STILL))
     return found
 
 
@@ -312,6 +312,8 @@ def refined_motion(
     else:
         motion = RefinedMotion(begin.positions, begin.values, begin.error)
     s = settings.refining
+    # Where gravity is tilted or gusts blow, the base model finds the motion by a wind.
+    told, clips = clips, [replace(clip, still_air=False) for clip in clips]
     coarse = replace(settings, side=min(s.side, settings.side))
     firm = replace(coarse, fit=_rough(replace(settings.fit, passes=max(s.firm, 1))))
     stages = ((refining(coarse), s.rounds), (firm, min(s.firm, 1)), (refining(settings), s.finer))
@@ -329,7 +331,7 @@ def refined_motion(
             if _change(before, motion) < s.steady * error * model.width:
                 break
     motion = on_other_grids(motion, on, model_grids(clips, settings))
-    return with_error_found(clips, motion, settings, stiffness, workers)
+    return with_error_found(told, motion, settings, stiffness, workers)
 
 
 def loosened(
@@ -466,7 +468,7 @@ def _joint(
         likelihood_weight=1.0,
     )
     shooting = shooting_of(problem.scene, grid, tracked, own, s.longest_substep, s.newton_iterations)
-    around = surroundings(problem.scene, grid)
+    around = replace(surroundings(problem.scene, grid), still_air=clip.still_air)
     free = s.fit.force > 0
     joint = joint_clip(
         shooting,
@@ -474,7 +476,6 @@ def _joint(
         len(positions),
         clip.device,
         forces=free,
-        still_air=clip.still_air,
         velocities=None if motion.velocities is None else motion.velocities[k],
         wind=wind,
     )

@@ -146,6 +146,10 @@ class Effect(ABC):
         """
         return self
 
+    def in_still_air(self) -> Self:
+        """The same effect for clips some of which have no steady wind; itself for most effects."""
+        return self
+
     def in_detail(self) -> Self:
         """The same effect with the finer fields that a session can tell apart; itself for most effects."""
         return self
@@ -228,6 +232,7 @@ class Surroundings:
         fps: frames per second, the mean where they are unevenly spaced.
         n_frames: F.
         times: of the frames (F,) [s], the first 0; None where they are evenly spaced.
+        still_air: whether there is no steady wind: then gusts have a mean of their own.
     """
 
     cloth: Cloth
@@ -236,6 +241,7 @@ class Surroundings:
     fps: float
     n_frames: int
     times: Tensor | None = None
+    still_air: bool = False
 
     def frame_times(self) -> Tensor:
         """Times of the frames (F,) [s]."""

@@ -22,14 +22,17 @@ HIGHEST = 3.0
 """Frequency [Hz] up to which clips have modes where their number is not given."""
 
 
-def _parameters(n_modes: int) -> tuple[Parameter, ...]:
+def _parameters(n_modes: int, longest: int = 1) -> tuple[Parameter, ...]:
+    """Of ``longest`` to ``n_modes`` half waves; 0 is the mean."""
     return tuple(
-        Parameter(f"{axis}_{k}", "m/s²", -50.0, 50.0, 1.0, f"amplitude of {k} half waves, {what}")
+        Parameter(
+            f"{axis}_{k}", "m/s²", -50.0, 50.0, 1.0, f"amplitude of {k} half waves, {what}" if k else what
+        )
         for axis, what in (
             ("x", "the camera's x axis made horizontal"),
             ("z", "the horizontal one across it"),
         )
-        for k in range(1, n_modes + 1)
+        for k in range(longest, n_modes + 1)
     )
 
 
@@ -42,8 +45,9 @@ def half_waves(duration: float) -> int:
 class Gusts(ForceEffect):
     """Uniform horizontal acceleration Σ a_k cos(π k t / T) over a clip of length T, of zero mean.
 
-    Its mean over the clip is the constant wind of the fit and left to that. k half waves have the frequency
-    k / (2 T), so a number of modes that is enough for a short clip is too small for a long one.
+    Its mean over the clip is the constant wind of the fit and left to that; in still air there is none, and
+    the mean is a mode of its own, k = 0 (``in_still_air``). k half waves have the frequency k / (2 T), so a
+    number of modes that is enough for a short clip is too small for a long one.
 
     Args:
         values: see Effect.
@@ -68,6 +72,7 @@ class Gusts(ForceEffect):
                 "gusts: too few modes", where="effect=gusts", expected="n_modes >= 1", got=str(n_modes)
             )
         self._given = n_modes is not None
+        self._longest = 1
         self._parameters = _parameters(USUAL_MODES if n_modes is None else n_modes)
         super().__init__(values)
 
@@ -81,14 +86,24 @@ class Gusts(ForceEffect):
         if self._given:
             return self
         amplitudes = self.values.reshape(2, -1)
-        acting = [k + 1 for k in range(amplitudes.shape[1]) if bool(amplitudes[:, k].any())]
+        acting = [k + self._longest for k in range(amplitudes.shape[1]) if bool(amplitudes[:, k].any())]
         n_modes = max([half_waves(duration), *acting])
-        values = amplitudes.new_zeros(2, n_modes)
-        n_kept = min(n_modes, amplitudes.shape[1])
+        values = amplitudes.new_zeros(2, n_modes + 1 - self._longest)
+        n_kept = min(values.shape[1], amplitudes.shape[1])
         values[:, :n_kept] = amplitudes[:, :n_kept]
         other = copy.copy(self)
-        other._parameters = _parameters(n_modes)
+        other._parameters = _parameters(n_modes, self._longest)
         return other.with_values(values.reshape(-1))
+
+    def in_still_air(self) -> Self:
+        """See Effect: with a mean, which acts in clips whose Surroundings say so."""
+        if not self._longest:
+            return self
+        amplitudes = self.values.reshape(2, -1)
+        other = copy.copy(self)
+        other._longest = 0
+        other._parameters = _parameters(amplitudes.shape[1], 0)
+        return other.with_values(torch.cat((amplitudes.new_zeros(2, 1), amplitudes), 1).reshape(-1))
 
     def amounts(
         self, around: Surroundings, material: Mapping[str, float], times: Tensor
@@ -101,6 +116,9 @@ class Gusts(ForceEffect):
         """See ForceEffect."""
         amplitudes = self.values.reshape(2, -1)
         length = (around.n_frames - 1) / around.fps  # also where fps is a mean
-        k = torch.arange(1, amplitudes.shape[1] + 1, dtype=torch.float64)
+        k = self._longest + torch.arange(amplitudes.shape[1], dtype=torch.float64)
         modes = torch.cos(torch.pi * k * times[:, None] / length)
+        if not self._longest and not around.still_air:
+            # The wind of the fit has it.
+            modes = modes * (k > 0)
         return (modes @ amplitudes.T @ horizontal_axes(around.gravity))[:, None]

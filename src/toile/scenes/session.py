@@ -5,8 +5,8 @@
     name: tablecloth
     clips:
       - scene: release          # folder of a native scene, relative to session.yaml
-        motion: release         # what was done: hang or release (nobody moved the corners), fan_off (nothing
-                                # blew), shake, sway, turned; any other word is for people alone
+        motion: release         # what was done: hang or release (nobody moved the corners), release or
+                                # fan_off (no wind), shake, sway, turned; any other word is for people alone
         device: phone           # clips with the same one share camera, frame rate and gravity's direction
         changed: []             # since the clip before, for people: fan, grip, turned, ...
       - scene: shake

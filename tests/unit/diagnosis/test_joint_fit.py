@@ -852,7 +852,8 @@ class TestAliases:
     def test_in_still_air_a_tilt_shows(self, still: Problem) -> None:
         effects = [CATALOGUE["gravity_tilt"]()]
         quiet = copy.copy(still.fitting)
-        quiet.clips = [replace(clip, still_air=True) for clip in quiet.clips]
+        calm = [replace(clip.around, still_air=True) for clip in quiet.clips]
+        quiet.clips = [replace(c, around=there) for c, there in zip(quiet.clips, calm, strict=True)]
         quadratic = quiet.quadratic(effects, still.base, quiet.systems(effects, still.base))
         assert session_alias(quiet, effects, quadratic, 10.0, 1.0).unseen == ()
 

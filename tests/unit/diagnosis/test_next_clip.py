@@ -102,15 +102,15 @@ class TestExpectedGain:
         found = expected_gain(effects, 1e3 * np.eye(2), freed, weights, 1, 64, rng)
         assert found == pytest.approx(np.log(2), abs=1e-3)
 
-    def test_gusts_of_a_clip_in_still_air_are_not_there(self) -> None:
+    def test_gusts_of_a_clip_in_which_nothing_blows_are_not_there(self) -> None:
         new = np.array([1], np.intp)
         gusts = Known(np.array([2.0]), np.array([[0.1]]), np.array([0], np.intp), new, 3.0, 2.0)
         so_far, information = evidence({"gusts": 0.0}), np.diag([0.0, 50.0])
         windy, still = (
             expected_gain(
-                {"gusts": gusts}, information, so_far, EXACT, 1, 64, np.random.default_rng(0), still_air=air
+                {"gusts": gusts}, information, so_far, EXACT, 1, 64, np.random.default_rng(0), calm=calm
             )
-            for air in (False, True)
+            for calm in (False, True)
         )
         assert windy > 0.3
         assert still == pytest.approx(0.0, abs=1e-9)
@@ -166,7 +166,7 @@ class TestPlannedClips:
         assert moved <= done.amplitude + 1e-12
         assert (moved > 0.3 * done.amplitude) == (done.amplitude > 0)
         assert np.linalg.norm(wind) == pytest.approx(done.wind)
-        assert clip.still_air == (motion == "fan_off")
+        assert clip.around.still_air == (motion in ("release", "fan_off"))
         free = MOVED if done.amplitude > 0 else hanging.shooting.settings.boundary
         assert clip.shooting.settings.boundary == free
         assert np.linalg.norm(x[1] - x[0], axis=-1).max() < 0.004

@@ -20,6 +20,7 @@ from toile.diagnosis.session_checks import (
     stopped_short,
     unknown_motions,
     unlike_devices,
+    wind_in_still_air,
 )
 from toile.scenes.session import Session, SessionClip
 
@@ -51,6 +52,16 @@ def test_holders_that_move_although_nobody_moved_them_are_said() -> None:
     assert "'release'" in said
     # Where somebody is said to move them, that is as it should be.
     assert said_of("sway", *seen(swayed, still=False)) == []
+
+
+def test_a_wind_in_a_clip_without_one_is_said() -> None:
+    session = Session("s", tuple(SessionClip(Path(name), name) for name in ("release", "shake", "fan_off")))
+    airs = [SimpleNamespace(around=SimpleNamespace(still_air=still)) for still in (True, False, True)]
+    # Three numbers of the material, then the winds; a draught of 3 cm/s² is usual.
+    base = SimpleNamespace(values=np.array([1.0, 1.0, 1.0, 0.12, -0.16, 2.0, 0.0, 0.03, 0.0]))
+    (said,) = wind_in_still_air(session, cast(Any, airs), cast(JointFit, base))
+    assert said.startswith("release: its cloth hangs as in a wind of 0.2 m/s² or more")
+    assert "'release'" in said
 
 
 def test_fits_that_have_not_arrived_are_said() -> None:

@@ -1,0 +1,149 @@
+"""What it is worth to know that no wind blew in a clip: docs/results/still_air.md.
+
+    python benchmarks/still_air.py  # the page from still_air.csv
+    python benchmarks/still_air.py --sessions gravity_tilt:3:41 blender-none:0:303 ...
+        # makes and tracks first clips of sessions that session_ladder names, and adds them first; a quarter
+        # of an hour of one core each
+
+Every clip is of a cloth that was let go in still air. It is diagnosed twice: as a ``release``, in which no
+wind blows, and as a ``hang``, in which corners are as still and the wind is open. What is found is kept in
+outputs/still_air, so that it goes on where it was. Answers are by the package's weights.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import torch
+import yaml
+from holders import added, seen_in
+from opened_session import opened
+from session_hypotheses import hypotheses
+from session_ladder import cause_of, made
+
+from toile.atomic_file import write_text
+from toile.cli.configuration import register_resolvers
+from toile.denormals import denormals_flushed
+from toile.diagnosis.base_fit import N_WIND
+from toile.diagnosis.decision import NONE, UNKNOWN
+from toile.diagnosis.session_weights import SessionWeights, chances
+from toile.effects.catalogue import CATALOGUE, STAND_INS
+from toile.generation.clip_plan import DEFAULT_CLIPS
+from toile.reports.run_folder import current_git_revision
+
+FOLDER = Path("outputs") / "still_air"
+TABLE = Path("docs") / "results" / "still_air.csv"
+AIR = {"hang": "open", "release": "still"}
+"""What is known of the wind, by the motion that the session says."""
+_KEPT = ("session", "wind")
+
+
+def said_to_be(folder: Path, motion: str) -> Path:
+    """The folder of a session whose first clip is that of another one, with the motion that it is said to be.
+
+    Args:
+        folder: of the other one.
+        motion: see generation.clip_plan.MOTIONS.
+    """
+    there = FOLDER / f"{folder.name}, {motion}"
+    there.mkdir(parents=True, exist_ok=True)
+    clips = [{"scene": str((folder / "clip_0").resolve()), "motion": motion}]
+    write_text(there / "session.yaml", yaml.safe_dump({"clips": clips}))
+    return there
+
+
+@denormals_flushed()
+def found(folder: Path, motion: str) -> dict[str, object]:
+    """What is said of a first clip with that motion."""
+    session = opened(said_to_be(folder, motion), FOLDER / f"{folder.name}_run", first=True)
+    held = session.held(name=f"_{motion}")
+    refined, (clip,) = held.motion, held.clips
+    scene = clip.problem.scene
+    truth = np.load(folder / "truth_0.npy").astype(np.float64).reshape(clip.n_frames, -1, 3)
+    away = np.linalg.norm(refined.positions[0] - truth, axis=-1) / scene.cloth_size[0]
+    every = hypotheses(session, refined, session.together, seen=held.clips)
+    said = chances(every.evidence, SessionWeights.load().of_clips(1))
+    cause = cause_of(folder.name)
+    own = {name: one.nats() for name, one in every.evidence.effects.items() if name not in every.base.names}
+    rivals = {name: nats for name, nats in own.items() if name not in (cause, *STAND_INS)}
+    rival = max(rivals, key=lambda name: rivals[name])
+    freed = every.outside.causes.get(cause)
+    best = max(said, key=lambda name: said[name])
+    in_catalogue = cause if cause in CATALOGUE or cause == NONE else UNKNOWN
+    return {
+        "session": folder.name,
+        "wind": AIR[motion],
+        "revision": current_git_revision(),
+        "motion off by [%]": 100 * away.mean(),
+        "the model's errors [%]": 100 * every.evidence.base.share,
+        "wind of the base model [m/s²]": float(np.linalg.norm(every.base.values[-N_WIND:])),
+        "change of size [%]": 100 * seen_in(scene, held.holders.positions[0]).change,
+        "cause [nats]": own.get(cause, np.nan),
+        "beside free forces": np.nan if freed is None else freed.evidence.nats(),
+        "best rival": rival,
+        "its nats": rivals[rival],
+        "best stand-in [nats]": max(own[name] for name in own if name in STAND_INS),
+        "first": best,
+        "its probability": said[best],
+        "right answer": said.get(in_catalogue, 0.0),
+    }
+
+
+def page(table: pd.DataFrame) -> str:
+    """The table in words."""
+    digits = {"motion off by [%]": 2, "the model's errors [%]": 3, "wind of the base model [m/s²]": 2}
+    digits |= {"change of size [%]": 2, "cause [nats]": 1, "beside free forces": 1, "its nats": 1}
+    digits |= {"best stand-in [nats]": 1, "its probability": 2, "right answer": 2}
+    shown = table.drop(columns="revision").round(digits).astype(object)
+    revisions = ", ".join(dict.fromkeys(table["revision"]))
+    return "\n".join(
+        [
+            "# Still air",
+            "",
+            "Made by `python benchmarks/still_air.py` from `still_air.csv`: first clips of sessions with "
+            "open labels, of a cloth that is let go in still air, once with the wind left open "
+            f"(`motion: hang`) and once as what they are (`motion: release`), at {revisions}. "
+            "Lengths in % of the cloth's width. Evidence under the law, and beside free forces where the "
+            "cause is one from outside; best rival: of the catalogue; first: the most probable answer by "
+            "the package's weights; right answer: probability of the cause, of `none` where nothing acts.",
+            "",
+            shown.where(shown.notna(), "–").to_markdown(index=False),
+            "",
+        ]
+    )
+
+
+def measured(names: Sequence[str]) -> pd.DataFrame:
+    """Both lines of these sessions; what is kept is not found anew."""
+    rows = []
+    for name in names:
+        folder = made(name, FOLDER, DEFAULT_CLIPS[:1])
+        for motion in AIR:
+            kept = FOLDER / f"{folder.name}, {motion}.json"
+            if not kept.is_file():
+                write_text(kept, json.dumps(found(folder, motion)))
+            rows.append(json.loads(kept.read_text()))
+            print(pd.DataFrame(rows[-1:]).to_string(index=False), flush=True)
+    return pd.DataFrame(rows)
+
+
+def main() -> None:
+    """Add sessions to the table, and write the page."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--sessions", nargs="+", default=[], help="to add, see session_ladder")
+    given = parser.parse_args()
+    torch.set_num_threads(1)
+    register_resolvers()
+    table = pd.read_csv(TABLE) if TABLE.is_file() else pd.DataFrame()
+    table = added(table, measured(given.sessions), _KEPT)
+    write_text(TABLE, table.to_csv(index=False, float_format="%.5g"))
+    write_text(TABLE.with_suffix(".md"), page(table))
+
+
+if __name__ == "__main__":
+    main()
