@@ -312,8 +312,7 @@ def refined_motion(
     else:
         motion = RefinedMotion(begin.positions, begin.values, begin.error)
     s = settings.refining
-    # Where gravity is tilted or gusts blow, the base model finds the motion by a wind.
-    told, clips = clips, [replace(clip, still_air=False) for clip in clips]
+    told, clips = clips, _in_any_wind(clips)
     coarse = replace(settings, side=min(s.side, settings.side))
     firm = replace(coarse, fit=_rough(replace(settings.fit, passes=max(s.firm, 1))))
     stages = ((refining(coarse), s.rounds), (firm, min(s.firm, 1)), (refining(settings), s.finer))
@@ -350,7 +349,7 @@ def loosened(
         stiffness: where fits begin.
         workers: share the windows of a clip.
     """
-    s = settings.refining
+    s, clips = settings.refining, _in_any_wind(clips)
     coarse = replace(settings, side=min(s.side, settings.side), held=max(settings.held, settings.boundary))
     error = motion.error
     motion = on_other_grids(motion, model_grids(clips, settings), model_grids(clips, coarse))
@@ -360,6 +359,11 @@ def loosened(
         found = model.refined(fit, motion if coarse.side < settings.side else None)
         motion = replace(found, error=error)
     return motion
+
+
+def _in_any_wind(clips: Sequence[SeenClip]) -> list[SeenClip]:
+    """The clips without what is known of their air: the base model finds gusts and a tilt by a wind."""
+    return [replace(clip, still_air=False) for clip in clips]
 
 
 def refining(settings: SessionSettings) -> SessionSettings:

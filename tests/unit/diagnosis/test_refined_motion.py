@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -29,6 +29,13 @@ SETTINGS = SessionSettings(
 GRIDS = {side: SimpleNamespace(side=side) for side in (6, 9)}
 
 
+@dataclass(frozen=True)
+class _Clip:
+    tracked: Any
+    n_frames: int
+    still_air: bool
+
+
 class _Rounds:
     """A base model that takes the share of the error away that its own errors let images have.
 
@@ -41,12 +48,15 @@ class _Rounds:
         self.thought: list[float | None] = []
         self.asked: list[SessionSettings] = []
         self.began: list[int | None] = []
+        self.still: list[bool] = []
 
     def _refined(self, details: RefinedMotion | None, settings: SessionSettings) -> None:
         # The whole model's motion has no details that it cannot have.
         assert (details is not None) == (settings.side < SETTINGS.side)
 
     def __call__(self, clips: Any, motion: RefinedMotion, settings: SessionSettings, stiffness: Any) -> Any:
+        # A tilt of gravity or gusts push the cloth where no wind blows, and the base model has neither.
+        self.still = [clip.still_air for clip in clips]
         self.thought.append(motion.error)
         self.asked.append(settings)
         self.began.append(None if motion.velocities is None else int(motion.velocities[0][0, 0, 0]))
@@ -76,12 +86,13 @@ def rounds(monkeypatch: pytest.MonkeyPatch, found: Sequence[float], settings: Se
     monkeypatch.setattr(stages, "SessionModel", model)
     monkeypatch.setattr(stages, "_grid", lambda clip, settings: GRIDS[settings.side])
     monkeypatch.setattr(stages, "on_other_grids", _moved)
-    clip: Any = SimpleNamespace(tracked=SimpleNamespace(positions=TRACKED), n_frames=len(TRACKED))
+    clip: Any = _Clip(SimpleNamespace(positions=TRACKED), len(TRACKED), still_air=True)
     return model, refined_motion([clip], settings, (850.0, 0.5, 0.005), ALONE)
 
 
 def test_what_the_model_is_wrong_by_is_found_on_the_way(monkeypatch: pytest.MonkeyPatch) -> None:
     model, motion = rounds(monkeypatch, [0.0012, 0.0006, 0.0005, 0.0005, 0.0005, 0.0005, 0.0005], SETTINGS)
+    assert model.still == [False]
     assert model.thought[:3] == [None, 0.0012, 0.0006]
     assert np.abs(motion.positions[0] - TRUE).max() < 0.0005 * WIDTH
 
@@ -213,10 +224,11 @@ def test_rounds_without_holding_begin_with_the_refined_motion_and_its_errors(
     monkeypatch.setattr(stages, "_grid", lambda clip, settings: GRIDS[settings.side])
     monkeypatch.setattr(stages, "on_other_grids", _moved)
     begin = RefinedMotion([TRACKED], None, error=0.0007, velocities=[np.full((4, 9, 3), 9)])
-    clip: Any = None
+    clip: Any = _Clip(None, len(TRACKED), still_air=True)
     found = stages.loosened([clip], begin, settings, (850.0, 0.5, 0.005))
     assert model.thought == [0.0007] * 2
     assert model.began == [6, 6]
     assert [asked.held for asked in model.asked] == [settings.boundary] * 2
+    assert model.still == [False]
     assert settings.held < settings.boundary
     assert np.abs(found.positions[0] - TRUE).max() < 0.5 * np.abs(TRACKED - TRUE).max()
