@@ -100,7 +100,7 @@ def page(table: pd.DataFrame) -> str:
     digits |= {"change of size [%]": 2, "cause [nats]": 1, "beside free forces": 1, "its nats": 1}
     digits |= {"best stand-in [nats]": 1, "its probability": 2, "right answer": 2}
     shown = table.drop(columns="revision").round(digits).astype(object)
-    revisions = ", ".join(dict.fromkeys(table["revision"]))
+    revisions = ", ".join(dict.fromkeys(str(revision)[:7] for revision in table["revision"]))
     return "\n".join(
         [
             "# Still air",
