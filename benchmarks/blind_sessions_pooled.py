@@ -51,6 +51,7 @@ LATEST = (
     "fourth_effects",
     "third_short",
     "fifteenth_medium",
+    "sixteenth_medium",
 )
 """Sets answered since what the catalogue lacks has stand-ins, and contact is a candidate."""
 LAST = ("third_effects", "fourteenth_medium", "second_short", "fourth_effects")
