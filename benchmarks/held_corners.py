@@ -147,6 +147,7 @@ def page(table: pd.DataFrame) -> str:
     means = lines[of_both].groupby("corners may wander by", sort=False)[
         ["motion off by [%]", "corners off by [%]", "the model's errors [%]", "right answer"]
     ]
+    revisions = ", ".join(dict.fromkeys(str(revision)[:7] for revision in table["revision"]))
     return "\n".join(
         [
             "# Corners that nobody moved",
@@ -157,7 +158,7 @@ def page(table: pd.DataFrame) -> str:
             "one slips are let go. Lengths in % of the cloth's width. Right answer: probability of the cause "
             "by the package's weights; of `none` where nothing acts, of `unknown` where the cause is none of "
             "the catalogue, whose nats are those of the best stand-in; of a slip where nothing else acts. "
-            "Best rival: of the catalogue.",
+            f"Best rival: of the catalogue. Found at {revisions}; until af20231 wind was open in all clips.",
             "",
             shown.where(shown.notna(), "–").to_markdown(index=False),
             "",

@@ -26,6 +26,7 @@ def session(cause: str, width: str, nats: dict[str, float], slip: float = -8.0) 
         "session": f"{cause}_3_1",
         "cause": cause,
         "width": width,
+        "revision": "0123456789",
         "usual": "internal_damping",
         "share": 0.001,
         "motion off by [% of the width]": 0.5,

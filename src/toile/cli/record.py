@@ -40,7 +40,7 @@ INSTRUCTIONS: Mapping[str, Instruction] = {
     "release": Instruction(
         "hold both corners still, fan and window shut; push the cloth aside, start the camera, let go",
         "lower edge a fifth of the width aside",
-        "drag and damping, from how it comes to rest",
+        "drag and damping, from how it comes to rest; gravity that is tilted",
     ),
     "shake": Instruction(
         "shake both corners together, one to two times a second",

@@ -27,6 +27,7 @@ from toile.diagnosis.effect_evidence import SIZES
 from toile.diagnosis.effect_sensitivities import Instant, force_sensitivities
 from toile.diagnosis.force_modes import balanced_directions
 from toile.diagnosis.hem import border_strip
+from toile.diagnosis.joint_fit import DRAUGHT
 from toile.diagnosis.sensitivities import StepForces
 from toile.effects.base import Effect, Scope, Surroundings
 from toile.effects.catalogue import OUTSIDE
@@ -71,14 +72,12 @@ class MovingCloth:
         around: the clip, on the same grid; frames are evenly spaced.
         horizontal: two axes along which wind blows (2, 3).
         device: that filmed it, from 0.
-        still_air: whether nothing blew.
     """
 
     positions: Array
     around: Surroundings
     horizontal: Array
     device: int = 0
-    still_air: bool = False
 
 
 def torque_evidence(
@@ -158,7 +157,7 @@ def _balance(clip: MovingCloth, effects: Sequence[Effect], settings: BalanceSett
     weight = masses[:, None] * gravity
     gap = felt(inertia - weight)
     wind = masses[:, None] * clip.horizontal[:, None, None] * np.ones((1, F - 2, 1, 1))
-    of_wind = (0.02 if clip.still_air else settings.wind) * felt(wind)
+    of_wind = (DRAUGHT if around.still_air else settings.wind) * felt(wind)
     nuisance = np.concatenate(
         (of_wind, settings.hem * felt(border_strip(around)[:, None] * (gravity - a))[None])
     )
