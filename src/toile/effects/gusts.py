@@ -26,7 +26,12 @@ def _parameters(n_modes: int, longest: int = 1) -> tuple[Parameter, ...]:
     """Of ``longest`` to ``n_modes`` half waves; 0 is the mean."""
     return tuple(
         Parameter(
-            f"{axis}_{k}", "m/s²", -50.0, 50.0, 1.0, f"amplitude of {k} half waves, {what}" if k else what
+            f"{axis}_{k}",
+            "m/s²",
+            -50.0,
+            50.0,
+            1.0,
+            f"{f'amplitude of {k} half waves' if k else 'mean'}, {what}",
         )
         for axis, what in (
             ("x", "the camera's x axis made horizontal"),
