@@ -90,7 +90,7 @@ def force_sensitivities(effect: Effect, instant: Instant, around: Surroundings) 
         return _element_force_sensitivities(effect, instant, cloth)
     if isinstance(effect, VertexEffect):
         now = _context(instant, cloth)
-        units = effect.unit_forces(torch.from_numpy(instant.step.positions), now)
+        units = effect.force_derivatives(torch.from_numpy(instant.step.positions), now)
         if units is not None:
             return np.asarray((units * effect.scales[:, None, None]).numpy(), np.float64)
 

@@ -147,7 +147,7 @@ class JointClip:
 
     def acting(self, effect: Effect, coefficients: Array) -> Effect:
         """An effect as it acts in this clip, with coefficients (n,) in prior deviations."""
-        return acting_with(self.own.get(effect.NAME, effect), coefficients)
+        return acting_with(self.own.get(effect.NAME, effect).in_clip(self.around), coefficients)
 
 
 def joint_clip(

@@ -303,7 +303,7 @@ class _Pushes(VertexEffect):
         """See VertexTerm."""
         return 0.5 * now.cloth.masses * (self.values[:, None] * self._depths(positions, now).square()).sum(0)
 
-    def unit_forces(self, positions: Tensor, now: StepContext) -> Tensor:
+    def force_derivatives(self, positions: Tensor, now: StepContext) -> Tensor:
         """See VertexEffect."""
         normals = torch.stack([obstacle.normals(positions) for obstacle in self._obstacles])
         return (now.cloth.masses * self._depths(positions, now))[..., None] * normals

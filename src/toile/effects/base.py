@@ -150,8 +150,12 @@ class Effect(ABC):
         """The same effect for clips some of which have no steady wind; itself for most effects."""
         return self
 
-    def in_detail(self) -> Self:
-        """The same effect with the finer fields that a session can tell apart; itself for most effects."""
+    def in_detail(self) -> Effect:
+        """The same effect with what a session can tell apart beside; itself for most effects."""
+        return self
+
+    def in_clip(self, around: Surroundings) -> Self:
+        """The same effect where it needs to know in which clip it acts; itself for most effects."""
         return self
 
     def deviation(self, material: Mapping[str, float]) -> float:
@@ -261,10 +265,10 @@ class Surroundings:
 class VertexEffect(Effect, VertexTerm):
     """Acts within a step through a potential of every vertex (drag, contact, following forces)."""
 
-    def unit_forces(self, positions: Tensor, now: StepContext) -> Tensor | None:
-        """Forces (n_parameters, N, 3) [N] of unit values at positions (N, 3), where they are linear in them.
+    def force_derivatives(self, positions: Tensor, now: StepContext) -> Tensor | None:
+        """Derivatives of the forces by the values at positions (N, 3), (n_parameters, N, 3) [N].
 
-        None where they are not, or where differentiation is as fast.
+        None where torch's differentiation is as fast.
         """
         return None
 

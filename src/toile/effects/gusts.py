@@ -1,4 +1,4 @@
-"""Gusts: wind that comes and goes."""
+"""Gusts: wind that comes and goes, on every vertex alike or harder on what faces it."""
 
 from __future__ import annotations
 
@@ -7,13 +7,16 @@ import math
 from collections.abc import Mapping
 from typing import ClassVar, Self
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
-from toile.effects.base import Amount, ForceEffect, Parameter, Scope, Stage, Surroundings
+from toile.effects.base import Amount, ForceEffect, Parameter, Scope, Stage, Surroundings, VertexEffect
 from toile.errors import InputError
 from toile.geometry.horizontal import horizontal_axes
 from toile.limits import Count
+from toile.physics.step_terms import StepContext
 
 USUAL_MODES = 6
 """Per horizontal direction, where neither a number is given nor the length of the clips is known."""
@@ -100,6 +103,10 @@ class Gusts(ForceEffect):
         other._parameters = _parameters(n_modes, self._longest)
         return other.with_values(values.reshape(-1))
 
+    def in_detail(self) -> FacingGusts:
+        """See Effect: harder on what faces them, by a share that a session finds."""
+        return FacingGusts(self)
+
     def in_still_air(self) -> Self:
         """See Effect: with a mean, which acts in clips whose Surroundings say so."""
         if not self._longest:
@@ -119,11 +126,146 @@ class Gusts(ForceEffect):
 
     def acceleration(self, times: Tensor, around: Surroundings) -> Tensor:
         """See ForceEffect."""
-        amplitudes = self.values.reshape(2, -1)
-        length = (around.n_frames - 1) / around.fps  # also where fps is a mean
-        k = self._longest + torch.arange(amplitudes.shape[1], dtype=torch.float64)
+        waves = self.waves(times, _length(around), still_air=around.still_air)
+        return (waves @ self.values.reshape(2, -1).T @ horizontal_axes(around.gravity))[:, None]
+
+    def waves(self, times: Tensor, length: float, *, still_air: bool) -> Tensor:
+        """Of every amplitude of a direction at times (T,) [s], (T, n_modes).
+
+        Args:
+            times: since frame 0.
+            length: of the clip [s].
+            still_air: see Surroundings.
+        """
+        k = self._longest + torch.arange(len(self.values) // 2, dtype=torch.float64)
         modes = torch.cos(torch.pi * k * times[:, None] / length)
-        if not self._longest and not around.still_air:
+        if not self._longest and not still_air:
             # The wind of the fit has it.
             modes = modes * (k > 0)
-        return (modes @ amplitudes.T @ horizontal_axes(around.gravity))[:, None]
+        return modes
+
+
+_FACING = Parameter(
+    "facing_beyond_half", "1", -0.5, 0.5, 0.25, "share that only pushes what faces it, beyond one half"
+)
+
+
+class FacingGusts(VertexEffect):
+    """Gusts that push harder what faces them: per mass (1 - f) a + f n (n·a), with the normals n.
+
+    a is the acceleration of Gusts. Moving air pushes a surface mostly along its normal (f = 1), rubs along it
+    and flows around it (f < 1); how much of each nobody knows, so the share f is found as well, from one half
+    on. Normals are those at the step's begin, so that the potential is linear in the new positions.
+
+    Args:
+        gusts: of which they are made, with its amplitudes.
+    """
+
+    NAME: ClassVar[str] = Gusts.NAME
+    STAGE: ClassVar[Stage] = Gusts.STAGE
+    SCOPE: ClassVar[Scope] = Gusts.SCOPE
+    quadratic: ClassVar[bool] = True
+    past_reach: ClassVar[int] = 1
+    PARAMETERS: ClassVar[tuple[Parameter, ...]] = (*Gusts.PARAMETERS, _FACING)
+    SOURCE: ClassVar[str] = (
+        f"{Gusts.SOURCE}; on surfaces: Baraff and Witkin, Large Steps in Cloth Simulation, SIGGRAPH 1998"
+    )
+
+    def __init__(self, gusts: Gusts) -> None:
+        self._gusts = gusts
+        self._axes = torch.zeros(2, 3, dtype=torch.float64)
+        self._length = 0.0
+        self._still_air = False
+        super().__init__()
+        self.values = torch.cat((gusts.values, torch.zeros(1, dtype=torch.float64)))
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """See Effect."""
+        return (*self._gusts.parameters, _FACING)
+
+    def for_clip(self, duration: float) -> Self:
+        """See Gusts."""
+        return self._of(self._blowing().for_clip(duration))
+
+    def in_still_air(self) -> Self:
+        """See Gusts."""
+        return self._of(self._blowing().in_still_air())
+
+    def in_clip(self, around: Surroundings) -> Self:
+        """See Effect."""
+        other = copy.copy(self)
+        other._axes, other._length = horizontal_axes(around.gravity), _length(around)
+        other._still_air = around.still_air
+        return other
+
+    def place(self) -> dict[str, NDArray[np.float64]]:
+        """See Effect."""
+        if not self._length:
+            return {}
+        return {
+            "axes": self._axes.numpy(),
+            "length": np.array([self._length]),
+            "still_air": np.array([float(self._still_air)]),
+        }
+
+    def placed(self, place: Mapping[str, NDArray[np.float64]]) -> Self:
+        """See Effect."""
+        if not place:
+            return self
+        other = copy.copy(self)
+        other._axes = torch.from_numpy(np.array(place["axes"], np.float64))
+        other._length = float(place["length"][0])
+        other._still_air = bool(place["still_air"][0])
+        return other
+
+    def amounts(
+        self, around: Surroundings, material: Mapping[str, float], times: Tensor
+    ) -> tuple[Amount, ...]:
+        """See Effect: the strongest that blows at a frame, where the cloth faces it."""
+        return self._blowing().amounts(around, material, times)
+
+    def energy(self, positions: Tensor, now: StepContext) -> Tensor:
+        """See VertexTerm.
+
+        Raises:
+            ValueError: nobody has said in which clip, see ``in_clip``.
+        """
+        acceleration = self._waves(now) @ self.values[:-1].reshape(2, -1).T @ self._axes
+        moved, share = positions - now.positions, 0.5 + self.values[-1]
+        across = (now.normals @ acceleration) * (now.normals * moved).sum(-1)
+        return -now.cloth.masses * ((1 - share) * (moved @ acceleration) + share * across)
+
+    def force_derivatives(self, positions: Tensor, now: StepContext) -> Tensor:
+        """See VertexEffect."""
+        waves, share = self._waves(now), 0.5 + self.values[-1]
+        across = (now.normals @ self._axes.T).T[:, :, None] * now.normals
+        along = self._axes[:, None].expand_as(across)
+        by_direction = (1 - share) * along + share * across
+        by_amplitude = (waves[:, None, None] * by_direction[:, None]).flatten(0, 1)
+        blowing = self.values[:-1].reshape(2, -1) @ waves
+        by_share = torch.einsum("d,dni->ni", blowing, across - along)
+        return now.cloth.masses[:, None] * torch.cat((by_amplitude, by_share[None]))
+
+    def _waves(self, now: StepContext) -> Tensor:
+        """Of every amplitude of a direction at the end of a step, (n_modes,)."""
+        if not self._length:
+            raise ValueError("gusts: expected to be told in which clip they blow")
+        time = torch.tensor([now.time], dtype=torch.float64)
+        return self._gusts.waves(time, self._length, still_air=self._still_air)[0]
+
+    def _blowing(self) -> Gusts:
+        """Gusts with the present amplitudes."""
+        return self._gusts.with_values(self.values[:-1])
+
+    def _of(self, gusts: Gusts) -> Self:
+        """The same with other modes."""
+        other = copy.copy(self)
+        other._gusts = gusts
+        other.values = torch.cat((gusts.values, self.values[-1:]))
+        return other
+
+
+def _length(around: Surroundings) -> float:
+    """Of a clip [s], also where fps is a mean."""
+    return (around.n_frames - 1) / around.fps

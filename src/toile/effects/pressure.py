@@ -81,7 +81,7 @@ class Pressure(VertexEffect):
         along = (now.normals * (positions - now.positions)).sum(-1)
         return -now.cloth.masses * acceleration * along
 
-    def unit_forces(self, positions: Tensor, now: StepContext) -> Tensor:
+    def force_derivatives(self, positions: Tensor, now: StepContext) -> Tensor:
         """See VertexEffect."""
         waves = self._waves(torch.tensor([now.time], dtype=torch.float64))[0]
         return waves[:, None, None] * (now.cloth.masses[:, None] * now.normals)

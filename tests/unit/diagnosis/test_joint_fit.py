@@ -38,6 +38,7 @@ from toile.diagnosis.tracked import Tracked
 from toile.effects.base import Effect, Scope, Surroundings
 from toile.effects.catalogue import CATALOGUE, OUTSIDE
 from toile.effects.contact import Contact
+from toile.effects.gusts import Gusts
 from toile.effects.obstacles import Plane, Sphere
 from toile.effects.rest_curvature import RestCurvature
 from toile.effects.setting import setting
@@ -710,6 +711,26 @@ class TestSharedUnknowns:
         assert layout.base(1).tolist() == [0, 1, 2, 5, 6]
 
 
+class TestGusts:
+    """Harder on what faces them, or on all alike: the fit finds it."""
+
+    @pytest.mark.parametrize("share", [0.0, 1.0])
+    def test_the_share_that_only_pushes_what_faces_them_is_found(self, share: float) -> None:
+        blowing = Gusts({"x_1": 2.5, "z_1": -3.0}).in_detail()
+        values = blowing.values.clone()
+        values[-1] = share - 0.5
+        _, around = clip(WINDS[0], ())
+        acting = blowing.with_values(values).in_clip(around)
+        fitting = JointFitting([joint_clip(*clip(WINDS[0], (acting,)), FRAMES)], STIFFNESS, np.zeros(3))
+        base = fitting.fitted((), fitting.start_fit())
+        alike = fitting.fitted((Gusts(),), base)
+        facing = fitting.fitted((Gusts().in_detail(),), base)
+        found = 0.5 + facing.coefficients[-1] * float(facing.effects[0][-1].scales[-1])
+        assert found == pytest.approx(share, abs=0.2)
+        gained, rival = (fit.evidence(base).nats() for fit in (facing, alike))
+        assert gained > rival + 5 if share else gained > rival - 5
+
+
 def frames_of(windows: Sequence[WindowMotion], substeps: int) -> np.ndarray:
     """Positions of a fit in all frames (F, N, 3)."""
     return np.concatenate([windows[0].positions[:1], *(w.positions[substeps::substeps] for w in windows)])
@@ -1096,7 +1117,7 @@ class TestSwept:
             time_step=0.01,
             boundary=at[around.cloth.pinned],
         )
-        for k, forces in enumerate(pushes.unit_forces(at, now)):
+        for k, forces in enumerate(pushes.force_derivatives(at, now)):
             y = at.clone().requires_grad_()
             one = pushes.with_values(torch.eye(len(obstacles), dtype=torch.float64)[k])
             (gradient,) = torch.autograd.grad(one.energy(y, now).sum(), y)

@@ -120,7 +120,7 @@ class TestPressure:
         force = -torch.autograd.grad(effect.energy(ends, now).sum(), ends)[0]
         size = 0.8 - 0.5 * math.cos(3 * math.pi * at / self.DURATION)
         torch.testing.assert_close(force, size * CLOTH.masses[:, None] * now.normals)
-        units = effect.unit_forces(ends.detach(), now)
+        units = effect.force_derivatives(ends.detach(), now)
         torch.testing.assert_close(torch.einsum("k,kni->ni", effect.values, units), force)
 
     def test_longer_clips_have_more_waves_and_the_same_amplitudes(self) -> None:
