@@ -145,8 +145,9 @@ class Gusts(ForceEffect):
         return modes
 
 
+# Its bounds say what is known of it; the prior between them is as good as even.
 _FACING = Parameter(
-    "facing_beyond_half", "1", -0.5, 0.5, 0.25, "share that only pushes what faces it, beyond one half"
+    "facing_beyond_half", "1", -0.5, 0.5, 1.0, "share that only pushes what faces it, beyond one half"
 )
 
 
