@@ -187,11 +187,11 @@ class FacingGusts(VertexEffect):
 
     def for_clip(self, duration: float) -> Self:
         """See Gusts."""
-        return self._of(self._blowing().for_clip(duration))
+        return self._of(self.alike().for_clip(duration))
 
     def in_still_air(self) -> Self:
         """See Gusts."""
-        return self._of(self._blowing().in_still_air())
+        return self._of(self.alike().in_still_air())
 
     def in_clip(self, around: Surroundings) -> Self:
         """See Effect."""
@@ -224,7 +224,7 @@ class FacingGusts(VertexEffect):
         self, around: Surroundings, material: Mapping[str, float], times: Tensor
     ) -> tuple[Amount, ...]:
         """See Effect: the strongest that blows at a frame, where the cloth faces it."""
-        return self._blowing().amounts(around, material, times)
+        return self.alike().amounts(around, material, times)
 
     def energy(self, positions: Tensor, now: StepContext) -> Tensor:
         """See VertexTerm.
@@ -255,8 +255,8 @@ class FacingGusts(VertexEffect):
         time = torch.tensor([now.time], dtype=torch.float64)
         return self._gusts.waves(time, self._length, still_air=self._still_air)[0]
 
-    def _blowing(self) -> Gusts:
-        """Gusts with the present amplitudes."""
+    def alike(self) -> Gusts:
+        """Gusts with these amplitudes that push all of the cloth alike."""
         return self._gusts.with_values(self.values[:-1])
 
     def _of(self, gusts: Gusts) -> Self:

@@ -1,0 +1,135 @@
+"""What it is worth that gusts push harder what faces them: docs/results/facing_gusts.md.
+
+    python benchmarks/facing_gusts.py  # the page from facing_gusts.csv
+    python benchmarks/facing_gusts.py --sessions blender-gusts:3:302 gusts:3:31 ...
+        # makes and tracks first clips of sessions that session_ladder names, and adds them first; ten minutes
+        # of one core each
+
+Every clip is diagnosed twice on the same refined motion: with gusts that push all of the cloth alike, and
+with those that a session has, which push harder what faces them. What is found is kept in
+outputs/facing_gusts, so that it goes on where it was. Answers are by the package's weights.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import torch
+from holders import added
+from opened_session import opened
+from session_hypotheses import hypotheses
+from session_ladder import cause_of, made
+
+from toile.atomic_file import write_text
+from toile.cli.configuration import register_resolvers
+from toile.denormals import denormals_flushed
+from toile.diagnosis.decision import NONE, UNKNOWN
+from toile.effects.catalogue import CATALOGUE
+from toile.effects.gusts import FacingGusts, Gusts
+from toile.effects.pressure import Pressure
+from toile.generation.clip_plan import DEFAULT_CLIPS
+from toile.reports.run_folder import current_git_revision
+
+FOLDER = Path("outputs") / "facing_gusts"
+TABLE = Path("docs") / "results" / "facing_gusts.csv"
+FORMS = ("alike", "facing")
+_KEPT = ("session", "gusts push")
+
+
+@denormals_flushed()
+def found(folder: Path) -> list[dict[str, object]]:
+    """What is said of a first clip with gusts of either form."""
+    session = opened(folder, FOLDER / f"{folder.name}_run", first=True)
+    held = session.held()
+    truth = np.load(folder / "truth_0.npy").astype(np.float64).reshape(held.clips[0].n_frames, -1, 3)
+    width = held.clips[0].problem.scene.cloth_size[0]
+    away = np.linalg.norm(held.motion.positions[0] - truth, axis=-1) / width
+    cause = cause_of(folder.name)
+    in_catalogue = cause if cause in CATALOGUE or cause == NONE else UNKNOWN
+    rows: list[dict[str, object]] = []
+    for form in FORMS:
+        effects = [
+            e.alike() if form == "alike" and isinstance(e, FacingGusts) else e for e in session.effects
+        ]
+        every = hypotheses(replace(session, effects=effects), held.motion, session.together, seen=held.clips)
+        said = every.chances()
+        best = max(said, key=lambda name: said[name])
+        nats = {name: one.nats() for name, one in every.evidence.effects.items()}
+        freed = {name: one.evidence.nats() for name, one in every.outside.causes.items()}
+        acting = every.fits[Gusts.NAME].effects[0][-1]
+        rows.append(
+            {
+                "session": folder.name,
+                "gusts push": form,
+                "revision": current_git_revision(),
+                "motion off by [%]": 100 * away.mean(),
+                "gusts [nats]": nats[Gusts.NAME],
+                "a pressure": nats[Pressure.NAME],
+                "gusts beside free forces": freed.get(Gusts.NAME, np.nan),
+                "a pressure there": freed.get(Pressure.NAME, np.nan),
+                "share found": 0.5 + float(acting.values[-1]) if form == "facing" else np.nan,
+                "first": best,
+                "its probability": said[best],
+                "right answer": said.get(in_catalogue, 0.0),
+            }
+        )
+    return rows
+
+
+def page(table: pd.DataFrame) -> str:
+    """The table in words."""
+    digits = {"motion off by [%]": 2, "gusts [nats]": 1, "a pressure": 1, "gusts beside free forces": 1}
+    digits |= {"a pressure there": 1, "share found": 2, "its probability": 2, "right answer": 2}
+    shown = table.drop(columns="revision").round(digits).astype(object)
+    revisions = ", ".join(dict.fromkeys(str(revision)[:7] for revision in table["revision"]))
+    return "\n".join(
+        [
+            "# Gusts that push harder what faces them",
+            "",
+            "Made by `python benchmarks/facing_gusts.py` from `facing_gusts.csv`: first clips of sessions "
+            "with open labels on refined motion, with gusts that push all of the cloth alike and with those "
+            f"that push harder what faces them, at {revisions}. Share found: that only pushes what faces it. "
+            "Evidence under the law, and beside free forces; first: the most probable answer by the "
+            "package's weights; right answer: probability of the cause, of `unknown` where the catalogue "
+            "lacks it, of `none` where nothing acts.",
+            "",
+            shown.where(shown.notna(), "–").to_markdown(index=False),
+            "",
+        ]
+    )
+
+
+def measured(names: Sequence[str]) -> pd.DataFrame:
+    """Both lines of these sessions; what is kept is not found anew."""
+    rows: list[dict[str, object]] = []
+    for name in names:
+        folder = made(name, FOLDER, DEFAULT_CLIPS[:1])
+        kept = FOLDER / f"{folder.name}.json"
+        if not kept.is_file():
+            write_text(kept, json.dumps(found(folder)))
+        rows += json.loads(kept.read_text())
+        print(pd.DataFrame(rows[-2:]).to_string(index=False), flush=True)
+    return pd.DataFrame(rows)
+
+
+def main() -> None:
+    """Add sessions to the table, and write the page."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--sessions", nargs="+", default=[], help="to add, see session_ladder")
+    given = parser.parse_args()
+    torch.set_num_threads(1)
+    register_resolvers()
+    table = pd.read_csv(TABLE) if TABLE.is_file() else pd.DataFrame()
+    table = added(table, measured(given.sessions), _KEPT)
+    write_text(TABLE, table.to_csv(index=False, float_format="%.5g"))
+    write_text(TABLE.with_suffix(".md"), page(table))
+
+
+if __name__ == "__main__":
+    main()
