@@ -55,8 +55,8 @@ class Gusts(ForceEffect):
 
     Its mean over the clip is the constant wind of the fit and left to that; in still air there is none, and
     the mean is a mode of its own, k = 0 (``in_still_air``). k half waves have the frequency k / (2 T), so a
-    number of modes that is enough for a short clip is too small for a long one. Those of a session push harder
-    what faces them, see FacingGusts.
+    number of modes that is enough for a short clip is too small for a long one. Those of a session push
+    harder what faces them, see FacingGusts.
 
     Args:
         values: see Effect.
