@@ -12,7 +12,6 @@ outputs/facing_gusts, so that it goes on where it was. Answers are by the packag
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Sequence
 from dataclasses import replace
@@ -20,14 +19,12 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-import torch
-from holders import added
+from kept_table import asked_for, in_markdown, revisions, update
 from opened_session import opened
 from session_hypotheses import hypotheses
 from session_ladder import cause_of, made
 
 from toile.atomic_file import write_text
-from toile.cli.configuration import register_resolvers
 from toile.denormals import denormals_flushed
 from toile.diagnosis.decision import NONE, UNKNOWN
 from toile.effects.catalogue import CATALOGUE
@@ -53,11 +50,10 @@ def found(folder: Path) -> list[dict[str, object]]:
     cause = cause_of(folder.name)
     in_catalogue = cause if cause in CATALOGUE or cause == NONE else UNKNOWN
     rows: list[dict[str, object]] = []
-    for form in FORMS:
-        effects = [
-            e.alike() if form == "alike" and isinstance(e, FacingGusts) else e for e in session.effects
-        ]
-        every = hypotheses(replace(session, effects=effects), held.motion, session.together, seen=held.clips)
+    alike = [effect.alike() if isinstance(effect, FacingGusts) else effect for effect in session.effects]
+    for form, effects in zip(FORMS, (alike, session.effects), strict=True):
+        asked = replace(session, effects=effects)
+        every = hypotheses(asked, held.motion, session.together, seen=held.clips)
         said = every.chances()
         best = max(said, key=lambda name: said[name])
         nats = {name: one.nats() for name, one in every.evidence.effects.items()}
@@ -86,20 +82,18 @@ def page(table: pd.DataFrame) -> str:
     """The table in words."""
     digits = {"motion off by [%]": 2, "gusts [nats]": 1, "a pressure": 1, "gusts beside free forces": 1}
     digits |= {"a pressure there": 1, "share found": 2, "its probability": 2, "right answer": 2}
-    shown = table.drop(columns="revision").round(digits).astype(object)
-    revisions = ", ".join(dict.fromkeys(str(revision)[:7] for revision in table["revision"]))
     return "\n".join(
         [
             "# Gusts that push harder what faces them",
             "",
             "Made by `python benchmarks/facing_gusts.py` from `facing_gusts.csv`: first clips of sessions "
             "with open labels on refined motion, with gusts that push all of the cloth alike and with those "
-            f"that push harder what faces them, at {revisions}. Share found: that only pushes what faces it. "
-            "Evidence under the law, and beside free forces; first: the most probable answer by the "
-            "package's weights; right answer: probability of the cause, of `unknown` where the catalogue "
+            f"that push harder what faces them, at {revisions(table)}. Share found: that only pushes what "
+            "faces it. Evidence under the law, and beside free forces; first: the most probable answer by "
+            "the package's weights; right answer: probability of the cause, of `unknown` where the catalogue "
             "lacks it, of `none` where nothing acts.",
             "",
-            shown.where(shown.notna(), "–").to_markdown(index=False),
+            in_markdown(table.round(digits)),
             "",
         ]
     )
@@ -120,15 +114,8 @@ def measured(names: Sequence[str]) -> pd.DataFrame:
 
 def main() -> None:
     """Add sessions to the table, and write the page."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--sessions", nargs="+", default=[], help="to add, see session_ladder")
-    given = parser.parse_args()
-    torch.set_num_threads(1)
-    register_resolvers()
-    table = pd.read_csv(TABLE) if TABLE.is_file() else pd.DataFrame()
-    table = added(table, measured(given.sessions), _KEPT)
-    write_text(TABLE, table.to_csv(index=False, float_format="%.5g"))
-    write_text(TABLE.with_suffix(".md"), page(table))
+    given = asked_for(__doc__).parse_args()
+    update(TABLE, measured(given.sessions), _KEPT, page)
 
 
 if __name__ == "__main__":

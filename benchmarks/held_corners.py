@@ -14,7 +14,6 @@ weights.
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Sequence
 from dataclasses import replace
@@ -22,14 +21,13 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-import torch
-from holders import added, chance_of_slip, seen_in
+from holders import chance_of_slip, seen_in
+from kept_table import asked_for, in_markdown, revisions, update
 from opened_session import OpenedSession, opened
 from session_hypotheses import hypotheses
 from session_ladder import BLENDER, REFINED, cause_of, evidence_columns, made
 
 from toile.atomic_file import write_text
-from toile.cli.configuration import register_resolvers
 from toile.denormals import denormals_flushed
 from toile.diagnosis.decision import NONE, UNKNOWN
 from toile.diagnosis.session_weights import SessionWeights, chances
@@ -142,12 +140,10 @@ def page(table: pd.DataFrame) -> str:
     lines = answers(table)
     digits = {"motion off by [%]": 2, "corners off by [%]": 2, "the model's errors [%]": 3}
     digits |= {"change of size [%]": 2, "slip [nats]": 1, "cause [nats]": 1, "its nats": 1, "right answer": 2}
-    shown = lines.round(digits).astype(object)
     of_both = lines.groupby("session")["session"].transform("size") == len(WIDTHS)
     means = lines[of_both].groupby("corners may wander by", sort=False)[
         ["motion off by [%]", "corners off by [%]", "the model's errors [%]", "right answer"]
     ]
-    revisions = ", ".join(dict.fromkeys(str(revision)[:7] for revision in table["revision"]))
     return "\n".join(
         [
             "# Corners that nobody moved",
@@ -158,9 +154,10 @@ def page(table: pd.DataFrame) -> str:
             "one slips are let go. Lengths in % of the cloth's width. Right answer: probability of the cause "
             "by the package's weights; of `none` where nothing acts, of `unknown` where the cause is none of "
             "the catalogue, whose nats are those of the best stand-in; of a slip where nothing else acts. "
-            f"Best rival: of the catalogue. Found at {revisions}; until af20231 wind was open in all clips.",
+            f"Best rival: of the catalogue. Found at {revisions(table)}; until af20231 wind was open in all "
+            "clips.",
             "",
-            shown.where(shown.notna(), "–").to_markdown(index=False),
+            in_markdown(lines.round(digits)),
             "",
             "Means over the clips with both:",
             "",
@@ -188,16 +185,10 @@ def measured(names: Sequence[str], widths: Sequence[str]) -> pd.DataFrame:
 
 def main() -> None:
     """Add sessions to the table, and write the page."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--sessions", nargs="+", default=[], help="to add, see session_ladder")
+    parser = asked_for(__doc__)
     parser.add_argument("--widths", nargs="+", choices=WIDTHS, default=tuple(WIDTHS))
     given = parser.parse_args()
-    torch.set_num_threads(1)
-    register_resolvers()
-    table = pd.read_csv(TABLE) if TABLE.is_file() else pd.DataFrame()
-    table = added(table, measured(given.sessions, given.widths), _KEPT)
-    write_text(TABLE, table.to_csv(index=False, float_format="%.5g"))
-    write_text(TABLE.with_suffix(".md"), page(table))
+    update(TABLE, measured(given.sessions, given.widths), _KEPT, page)
 
 
 if __name__ == "__main__":

@@ -12,22 +12,20 @@ outputs/still_air, so that it goes on where it was. Answers are by the package's
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
-import torch
 import yaml
-from holders import added, seen_in
+from holders import seen_in
+from kept_table import asked_for, in_markdown, revisions, update
 from opened_session import opened
 from session_hypotheses import hypotheses
 from session_ladder import cause_of, made
 
 from toile.atomic_file import write_text
-from toile.cli.configuration import register_resolvers
 from toile.denormals import denormals_flushed
 from toile.diagnosis.base_fit import N_WIND
 from toile.diagnosis.decision import NONE, UNKNOWN
@@ -99,20 +97,18 @@ def page(table: pd.DataFrame) -> str:
     digits = {"motion off by [%]": 2, "the model's errors [%]": 3, "wind of the base model [m/s²]": 2}
     digits |= {"change of size [%]": 2, "cause [nats]": 1, "beside free forces": 1, "its nats": 1}
     digits |= {"best stand-in [nats]": 1, "its probability": 2, "right answer": 2}
-    shown = table.drop(columns="revision").round(digits).astype(object)
-    revisions = ", ".join(dict.fromkeys(str(revision)[:7] for revision in table["revision"]))
     return "\n".join(
         [
             "# Still air",
             "",
             "Made by `python benchmarks/still_air.py` from `still_air.csv`: first clips of sessions with "
             "open labels, of a cloth that is let go in still air, once with the wind left open "
-            f"(`motion: hang`) and once as what they are (`motion: release`), at {revisions}. "
+            f"(`motion: hang`) and once as what they are (`motion: release`), at {revisions(table)}. "
             "Lengths in % of the cloth's width. Evidence under the law, and beside free forces where the "
             "cause is one from outside; best rival: of the catalogue; first: the most probable answer by "
             "the package's weights; right answer: probability of the cause, of `none` where nothing acts.",
             "",
-            shown.where(shown.notna(), "–").to_markdown(index=False),
+            in_markdown(table.round(digits)),
             "",
         ]
     )
@@ -134,15 +130,8 @@ def measured(names: Sequence[str]) -> pd.DataFrame:
 
 def main() -> None:
     """Add sessions to the table, and write the page."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--sessions", nargs="+", default=[], help="to add, see session_ladder")
-    given = parser.parse_args()
-    torch.set_num_threads(1)
-    register_resolvers()
-    table = pd.read_csv(TABLE) if TABLE.is_file() else pd.DataFrame()
-    table = added(table, measured(given.sessions), _KEPT)
-    write_text(TABLE, table.to_csv(index=False, float_format="%.5g"))
-    write_text(TABLE.with_suffix(".md"), page(table))
+    given = asked_for(__doc__).parse_args()
+    update(TABLE, measured(given.sessions), _KEPT, page)
 
 
 if __name__ == "__main__":

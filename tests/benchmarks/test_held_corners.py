@@ -92,9 +92,17 @@ def test_means_are_of_clips_with_both_widths(program: ModuleType) -> None:
     assert [(float(line[1]), int(line[-1])) for line in lines[1:]] == [(0.5, 1), (0.5, 1)]
 
 
-def test_a_session_that_is_there_is_replaced(program: ModuleType) -> None:
-    before = pd.concat([session("none", "2 mm", NATS), session("none", "10 mm", NATS)])
-    after = program.added(before, session("none", "2 mm", {"gusts": 1.0}), program._KEPT)
+def test_a_session_that_is_there_is_replaced(program: ModuleType, tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+
+    def update(*rows: pd.DataFrame) -> pd.DataFrame:
+        program.update(
+            path, pd.concat([pd.DataFrame(), *rows]), program._KEPT, lambda table: f"{len(table)}\n"
+        )
+        assert path.with_suffix(".md").read_text() == f"{len(pd.read_csv(path))}\n"
+        return pd.read_csv(path)
+
+    assert len(update(*(session("none", width, NATS) for width in ("2 mm", "10 mm")))) == 2 * len(NATS)
+    after = update(session("none", "2 mm", {"gusts": 1.0}))
     assert list(after.groupby("width").size()[["10 mm", "2 mm"]]) == [len(NATS), 1]
-    assert len(program.added(pd.DataFrame(), before)) == len(before)
-    assert len(program.added(before, pd.DataFrame())) == len(before)
+    assert len(update()) == len(after)
