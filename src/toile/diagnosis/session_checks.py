@@ -139,8 +139,8 @@ def wind_in_still_air(session: Session, clips: Sequence[JointClip], base: JointF
     found = zip(session.clip_names, session.clips, clips, strengths, strict=True)
     return [
         f"{name}: its cloth hangs as in a wind of {strength:.2g} m/s² or more, although none blew in a "
-        f"clip of motion '{clip.motion}': gusts do that, tilted gravity or what it touches does, or "
-        f"another motion was recorded ({', '.join(MOTIONS)})"
+        f"clip of motion '{clip.motion}': gusts, tilted gravity or what it touches may do that, or another "
+        f"motion was recorded ({', '.join(MOTIONS)})"
         for name, clip, fitted, strength in found
         if fitted.around.still_air and strength > _BLOWN * DRAUGHT
     ]
