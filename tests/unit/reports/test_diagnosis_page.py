@@ -46,7 +46,7 @@ from toile.reports.diagnosis_wording import (
     what_acts_beside,
     when_moved,
 )
-from toile.reports.page.diagnosis_charts import alias_matrix, alias_order, held_out
+from toile.reports.page.diagnosis_charts import alias_matrix, alias_order, held_out, over_time
 from toile.reports.page.diagnosis_page import DiagnosisPage, write_diagnosis_page
 from toile.scenes.scene import Scene
 
@@ -158,6 +158,23 @@ def test_ambiguity_names_the_candidates_and_what_to_record(report: GapReport) ->
     assert "What these clips can tell apart" in body(dataclasses.replace(alone, session=two))
     # What is no effect has its share as well: the numbers add up to what they hold together.
     assert "air drag 93 %, nothing missing 3 %" in certainty(answered(report, perhaps))
+
+
+def test_frames_of_several_clips_are_counted_from_their_own_first_one() -> None:
+    one = over_time([1.0, 2.0, 0.5], (), cursor=False)
+    assert one is not None
+    assert list(one.data[0].customdata) == ["frame 0", "frame 1", "frame 2"]
+    figure = over_time([1.0] * 12 + [2.0] * 11, (), cursor=False, clips={"still": 12, "<shake>": 11})
+    assert figure is not None
+    said = list(figure.data[0].customdata)
+    assert (said[11], said[12]) == ("still, frame 11", "&lt;shake&gt;, frame 0")
+    assert list(figure.layout.xaxis.tickvals) == [0, 10, 12, 22]
+    assert list(figure.layout.xaxis.ticktext) == ["0", "10", "0", "10"]
+    assert [note.text for note in figure.layout.annotations] == ["still", "&lt;shake&gt;"]
+    # A line before the second clip alone, beside that of the median.
+    assert [line.x0 for line in figure.layout.shapes if line.x0 == line.x1] == [11.5]
+    with pytest.raises(ValueError, match="23 frames in all, scores of 20"):
+        over_time([1.0] * 20, (), cursor=False, clips={"still": 12, "shake": 11})
 
 
 def test_what_may_be_touched_is_said_with_its_place(report: GapReport) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from html import escape
 
 import numpy as np
@@ -108,23 +108,39 @@ def held_out(effects: Sequence[EffectReport], chosen: Collection[str]) -> go.Fig
     return figure
 
 
-def over_time(scores: Sequence[float], held_out_frames: Collection[int], *, cursor: bool) -> go.Figure | None:
+def over_time(
+    scores: Sequence[float],
+    held_out_frames: Collection[int],
+    *,
+    cursor: bool,
+    clips: Mapping[str, int] | None = None,
+) -> go.Figure | None:
     """Score of every frame; the frames that were held out are shaded. None without scores.
 
     Args:
         scores: mean distance of every frame over the median distance (F,).
         held_out_frames: a score of exactly 0 there was not measured.
         cursor: draw a line for the current frame.
+        clips: numbers of frames by name, one after the other, F in all; frames are counted anew in each.
+            None for one clip.
+
+    Raises:
+        ValueError: the clips have not F frames in all.
     """
     if not scores:
         return None
+    if clips is None:
+        clips = {"": len(scores)}
+    if sum(clips.values()) != len(scores):
+        raise ValueError(f"clips of {sum(clips.values())} frames in all, scores of {len(scores)}")
     values = [None if f in held_out_frames and v == 0 else v for f, v in enumerate(scores)]
     figure = go.Figure()
     figure.add_bar(
         x=list(range(len(values))),
         y=values,
+        customdata=[escape(f"{clip}, frame {k}".lstrip(", ")) for clip, n in clips.items() for k in range(n)],
         marker={"color": RECONSTRUCTION, "line": {"width": 0}},
-        hovertemplate="frame %{x}: %{y:.3g} × the median<extra></extra>",
+        hovertemplate="%{customdata}: %{y:.3g} × the median<extra></extra>",
         showlegend=False,
     )
     if cursor:
@@ -144,7 +160,31 @@ def over_time(scores: Sequence[float], held_out_frames: Collection[int], *, curs
     figure.update_xaxes(title={"text": "frame", **SMALL}, range=[-0.6, len(scores) - 0.4], showgrid=False)
     figure.update_yaxes(title={"text": "distance / median", **SMALL}, rangemode="tozero")
     figure.update_layout(margin={"t": 12}, bargap=0.25)
+    if len(clips) > 1:
+        _part_clips(figure, clips)
     return figure
+
+
+def _part_clips(figure: go.Figure, clips: Mapping[str, int]) -> None:
+    """Name each clip above its frames, count these from 0, and draw a line before all but the first."""
+    longest = max(clips.values())
+    step = next((s for s in (10, 20, 50, 100, 200, 500) if longest <= 5 * s), 1000)
+    places: list[int] = []
+    counts: list[str] = []
+    first = 0
+    for clip, n in clips.items():
+        if first:
+            figure.add_vline(first - 0.5, line={"color": MUTED, "width": 1}, layer="below")
+        figure.add_annotation(
+            x=first + n / 2 - 0.5, y=1, xref="x", yref="y domain", text=escape(clip), showarrow=False,
+            yanchor="bottom", font={"size": 12, "color": MUTED},
+        )  # fmt: skip
+        here = range(0, n, step)
+        places += [first + k for k in here]
+        counts += [str(k) for k in here]
+        first += n
+    figure.update_xaxes(title={"text": "frame of the clip"}, tickvals=places, ticktext=counts)
+    figure.update_layout(margin={"t": 30})
 
 
 def mean_map(field: ClothField, upright: Upright | None) -> go.Figure:

@@ -99,7 +99,9 @@ class DiagnosisPage:
             wording=diagnosis_wording,
             held_out=held_out(effects, self._chosen),
             **self._on_the_cloth(),
-            over_time=over_time(where.frames, report.protocol.frames_held_out, cursor=followed),
+            over_time=over_time(
+                where.frames, report.protocol.frames_held_out, cursor=followed, clips=self._clips()
+            ),
             followed=followed,
             regimes=sorted(where.regimes.items(), key=lambda item: -item[1]),
             alias_matrix=alias_matrix(report.alias, self._chosen),
@@ -156,6 +158,12 @@ class DiagnosisPage:
             what = "mean distance of the base model, left to itself for a few frames, from the tracked cloth"
             cards.append((number(mean), "mm", f"{what}; errors of tracking are part of it"))
         return cards[:5]
+
+    def _clips(self) -> dict[str, int] | None:
+        """Numbers of frames of several clips, by name; None where scores are not of these frames."""
+        session = self.report.session
+        clips = {} if session is None else dict(zip(session.clips, session.frames, strict=False))
+        return clips if sum(clips.values()) == len(self.report.where.frames) else None
 
     def _ladder(self) -> list[tuple[str, float | None, str]]:
         """Stages from forces to pixels with their shares, and whether the answer lies there."""
