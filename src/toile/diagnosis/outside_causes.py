@@ -30,6 +30,7 @@ from toile.diagnosis.session_settings import SessionSettings
 from toile.diagnosis.session_stages import Own, RefinedMotion, SeenClip, SessionModel
 from toile.effects.base import Effect
 from toile.effects.catalogue import OUTSIDE, STAND_INS
+from toile.effects.contact import Contact
 from toile.limits import Unit
 from toile.workers import ALONE, Workers
 
@@ -153,7 +154,8 @@ def judged(
     """Evidence of causes around a fit without any, the first of whose usual effects is the hem.
 
     In the linearised model, that is: fits of single causes halt where a fold is about to snap, at different
-    shares of what they could gain, and that would decide between them.
+    shares of what they could gain, and that would decide between them. An obstacle's push has a history of
+    its own, see ContactPush.
 
     Args:
         fitting: whose windows have forces of their own.
@@ -162,6 +164,7 @@ def judged(
         outside: candidates.
         workers: share the windows of a clip.
     """
+    fitting, outside = _with_pushes(fitting, outside)
     candidates = [*outside, *fitting.usual]
     # Reduced once for all: the windows' own unknowns are most of the work.
     evidence = fitting.quadratic(candidates, base, fitting.systems(candidates, base, workers))
@@ -183,6 +186,17 @@ def judged(
         len(base.history) - 1,
         base.converged,
     )
+
+
+def _with_pushes(fitting: JointFitting, outside: Sequence[Effect]) -> tuple[JointFitting, Sequence[Effect]]:
+    """The fitting and the causes with contact as what its obstacle may push."""
+    longest = max((clip.around.n_frames - 1) / clip.around.fps for clip in fitting.clips)
+
+    def pushing(effect: Effect) -> Effect:
+        return effect.pushing(longest) if isinstance(effect, Contact) else effect
+
+    own = [{name: pushing(effect) for name, effect in clip.own.items()} for clip in fitting.clips]
+    return fitting.with_own(own), [pushing(effect) for effect in outside]
 
 
 def _beside(

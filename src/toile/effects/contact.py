@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from toile.effects.base import Parameter, Scope, Stage, Surroundings, VertexEffect
+from toile.effects.gusts import USUAL_MODES, half_waves
 from toile.effects.obstacles import Nowhere, Obstacle, Plane, Sphere
 from toile.limits import NonNegative, Positive, Unit
 from toile.physics.step_terms import StepContext
@@ -81,29 +82,105 @@ class Contact(VertexEffect):
         other._thickness = float(place["thickness"][0])
         return other
 
+    def pushing(self, duration: float) -> VertexEffect:
+        """What it may push where nobody knows what the cloth does against that, see ContactPush.
+
+        Args:
+            duration: of the longest clip [s].
+        """
+        return ContactPush(self, duration)
+
     def acts_on(self, around: Surroundings, motion: Tensor) -> Tensor:
         """See Effect: how deep the margin of the obstacle is entered, the mean over all frames [m]."""
-        return torch.stack([self._depth(x, x) for x in motion]).mean(0)
+        return torch.stack([self.depth(x, x) for x in motion]).mean(0)
 
     def energy(self, positions: Tensor, now: StepContext) -> Tensor:
         """See VertexTerm."""
         stiffness, friction, normals = now.once(self, lambda: self._lagged(now))
-        depth = self._depth(positions, now.positions)
+        depth = self.depth(positions, now.positions)
         moved = positions - now.positions
         along = moved - (moved * normals).sum(-1, keepdim=True) * normals
         slide = _smooth_length(along, self._sticking_speed * now.time_step)
         return 0.5 * stiffness * depth.square() + friction * slide
 
-    def _depth(self, positions: Tensor, earlier: Tensor) -> Tensor:
-        """How far every vertex is within the margin of the obstacle (N,) [m]."""
+    def depth(self, positions: Tensor, earlier: Tensor) -> Tensor:
+        """How far every vertex is within the margin of the obstacle (N,) [m].
+
+        Args:
+            positions: of the vertices (N, 3) [m].
+            earlier: see Obstacle.distance.
+        """
         return (self._thickness - self._obstacle.distance(positions, earlier)).clamp(min=0.0)
+
+    def normals(self, positions: Tensor) -> Tensor:
+        """See Obstacle."""
+        return self._obstacle.normals(positions)
 
     def _lagged(self, now: StepContext) -> tuple[Tensor, Tensor, Tensor]:
         """Stiffness k m (N,) [N/m], friction while sliding (N,) [N] and normals (N, 3), lagged."""
         stiffness, friction = self.values
         stiffness = stiffness * now.cloth.masses
-        depth = self._depth(now.positions, now.positions)
+        depth = self.depth(now.positions, now.positions)
         return stiffness, friction * stiffness * depth, self._obstacle.normals(now.positions)
+
+
+def _pushes(n_modes: int) -> tuple[Parameter, ...]:
+    stiffness = Contact.PARAMETERS[0]
+    low, high, scale = -stiffness.high, stiffness.high, stiffness.scale
+    return tuple(
+        Parameter(f"push_{k}", stiffness.unit, low, high, scale, f"amplitude of {k} half waves, per depth")
+        for k in range(n_modes + 1)
+    )
+
+
+class ContactPush(VertexEffect):
+    """Push of an obstacle that is more or less hard in time: ½ m (δ - d)² Σ a_k cos(π k t / T).
+
+    How hard an obstacle pushes is what the cloth asks of it. Where the forces within the cloth are free
+    (diagnosis/outside_causes.py) nothing says what that is: the motion stays where it is seen, outside of the
+    obstacle or a little within, and how deep that is says where it pushes, not how hard. So it has a history
+    in time, as fast as that of gusts and of a pressure, and no friction.
+
+    Args:
+        contact: with the obstacle and its margin.
+        duration: T, of the longest clip [s].
+    """
+
+    NAME: ClassVar[str] = Contact.NAME
+    STAGE: ClassVar[Stage] = Contact.STAGE
+    SCOPE: ClassVar[Scope] = Contact.SCOPE
+    past_reach: ClassVar[int] = 0
+    PARAMETERS: ClassVar[tuple[Parameter, ...]] = _pushes(USUAL_MODES)
+    SOURCE: ClassVar[str] = (
+        "a normal force that is whatever keeps the bodies apart: Signorini, Questioni di elasticità non "
+        "linearizzata, Rendiconti di Matematica 18, 1959"
+    )
+
+    def __init__(self, contact: Contact, duration: float) -> None:
+        self._contact, self._duration = contact, duration
+        self._parameters = _pushes(half_waves(duration))
+        super().__init__()
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """See Effect."""
+        return self._parameters
+
+    def energy(self, positions: Tensor, now: StepContext) -> Tensor:
+        """See VertexTerm."""
+        depth = self._contact.depth(positions, now.positions)
+        return 0.5 * (self._waves(now) @ self.values) * now.cloth.masses * depth.square()
+
+    def force_derivatives(self, positions: Tensor, now: StepContext) -> Tensor:
+        """See VertexEffect."""
+        depth = self._contact.depth(positions, now.positions)
+        push = (now.cloth.masses * depth)[:, None] * self._contact.normals(positions)
+        return self._waves(now)[:, None, None] * push
+
+    def _waves(self, now: StepContext) -> Tensor:
+        """Of every parameter at the end of a step (n_parameters,)."""
+        k = torch.arange(len(self._parameters), dtype=torch.float64)
+        return torch.cos(torch.pi * k * now.time / self._duration)
 
 
 def _smooth_length(vectors: Tensor, limit: float | Tensor) -> Tensor:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 
+from toile.diagnosis import outside_causes
 from toile.diagnosis.base_fit import base_of, base_sensitivities, local_scales, nothing_seen
 from toile.diagnosis.effect_size import Displacements
 from toile.diagnosis.hem import Hem
@@ -1025,6 +1026,21 @@ class TestUnknownObstacles:
         own = touching(fitting, base).of_clips
         fit = self.gain(fitting, base, own) if any(own) else base
         assert base.misfit - fit.misfit < 6
+
+    def test_beside_free_forces_its_push_has_a_history(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """What the cloth asks of an obstacle is not as deep as it is seen within: a law alone says that."""
+        reached = clip(WINDS[0], ())[0].tracked.positions[..., 2].min()
+        wall = Plane([0.1, 0.3, float(reached) + 0.06], self.NORMAL.tolist())
+        acting = Contact(wall, {"stiffness": 2e4, "friction": 0.3})
+        free, _, around = TestCausesFromOutside.free(acting)
+        base = free.fitted(free.usual, free.start_fit())
+        free = free.with_own([{"contact": Contact(wall, thickness=0.006)}])
+        found = judged(free, base, 0.3, (Contact(),)).causes["contact"]
+        assert len(found.coefficients) == len(Contact().pushing(12 / around.fps).parameters)
+        monkeypatch.setattr(outside_causes, "_with_pushes", lambda *given: given)
+        constant = judged(free, base, 0.3, (Contact(),)).causes["contact"]
+        assert len(constant.coefficients) == len(Contact.PARAMETERS)
+        assert found.evidence.nats() > 1.2 * constant.evidence.nats() > 50
 
     def test_contact_acts_in_the_clips_that_have_an_obstacle(self) -> None:
         free = joint_clip(*clip(WINDS[0], ()), FRAMES)

@@ -1,0 +1,162 @@
+"""What it is worth that an obstacle's push has a history beside free forces: docs/results/contact_push.md.
+
+    python benchmarks/contact_push.py  # the page from contact_push.csv
+    python benchmarks/contact_push.py --sessions blender-contact:3:901 contact:3:51 ...
+        # makes and tracks first clips of sessions that session_ladder names, and adds them first; ten minutes
+        # of one core each
+
+Every clip is diagnosed once, on refined motion. Beside free forces contact is judged twice: by a push as
+hard as it is deep, and by one with a history in time (effects/contact.py, ContactPush), which a session has.
+What is found is kept in outputs/contact_push, so that it goes on where it was. Answers are by the package's
+weights.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from kept_table import asked_for, in_markdown, revisions, update
+from opened_session import OpenedSession, opened
+from session_hypotheses import Hypotheses, hypotheses
+from session_ladder import cause_of, made
+
+from toile.atomic_file import write_text
+from toile.denormals import denormals_flushed
+from toile.diagnosis.decision import NONE, UNKNOWN
+from toile.diagnosis.effect_evidence import EffectEvidence
+from toile.diagnosis.held_motion import HeldMotion
+from toile.diagnosis.outside_causes import OutsideCause, freed_fit, judged
+from toile.diagnosis.session_weights import SessionWeights, chances
+from toile.effects.base import Effect, VertexEffect
+from toile.effects.catalogue import CATALOGUE, OUTSIDE, STAND_INS
+from toile.effects.contact import Contact
+from toile.effects.gusts import Gusts
+from toile.effects.pressure import Pressure
+from toile.generation.clip_plan import DEFAULT_CLIPS
+from toile.reports.run_folder import current_git_revision
+
+FOLDER = Path("outputs") / "contact_push"
+TABLE = Path("docs") / "results" / "contact_push.csv"
+FORMS = ("constant", "history")
+_KEPT = ("session", "push")
+
+
+class UnvaryingContact(Contact):
+    """As hard as it is deep, all the time."""
+
+    def pushing(self, duration: float) -> VertexEffect:
+        """See Contact."""
+        return self
+
+
+def unvarying(effect: Effect) -> Effect:
+    """The effect; of contact the one whose push has no history."""
+    return UnvaryingContact().placed(effect.place()) if isinstance(effect, Contact) else effect
+
+
+def constant(session: OpenedSession, held: HeldMotion, found: Hypotheses) -> Mapping[str, OutsideCause]:
+    """Causes from outside beside free forces, with contact as hard as it is deep."""
+    freed = freed_fit(held.clips, held.motion, session.together, session.stiffness, own=found.model.own)
+    if freed is None:
+        return {}
+    fitting, base, width = freed
+    own = [{name: unvarying(effect) for name, effect in clip.own.items()} for clip in fitting.clips]
+    outside = [unvarying(effect) for effect in found.moving if effect.NAME in (*OUTSIDE, *STAND_INS)]
+    return judged(fitting.with_own(own), base, width, outside).causes
+
+
+def lines(folder: Path) -> list[dict[str, object]]:
+    """What is said of a first clip with either push."""
+    session = opened(folder, FOLDER / f"{folder.name}_run", first=True)
+    held = session.held()
+    truth = np.load(folder / "truth_0.npy").astype(np.float64).reshape(held.clips[0].n_frames, -1, 3)
+    away = (
+        np.linalg.norm(held.motion.positions[0] - truth, axis=-1) / held.clips[0].problem.scene.cloth_size[0]
+    )
+    cause = cause_of(folder.name)
+    in_catalogue = cause if cause in CATALOGUE or cause == NONE else UNKNOWN
+    every = hypotheses(session, held.motion, session.together, seen=held.clips)
+    law, weights = every.evidence.effects, SessionWeights.load().of_clips(1)
+    rows: list[dict[str, object]] = []
+    for form, causes in zip(FORMS, (constant(session, held, every), every.outside.causes), strict=True):
+        freed = {name: cause.evidence for name, cause in causes.items()}
+        said = chances(replace(every.evidence, outside=freed), weights)
+        best = max(said, key=lambda name: said[name])
+        rows.append(
+            {
+                "session": folder.name,
+                "push": form,
+                "revision": current_git_revision(),
+                "motion off by [%]": 100 * away.mean(),
+                "contact [nats]": nats(law, Contact.NAME),
+                "gusts": nats(law, Gusts.NAME),
+                "contact beside free forces": nats(freed, Contact.NAME),
+                "gusts there": nats(freed, Gusts.NAME),
+                "a pressure there": nats(freed, Pressure.NAME),
+                "first": best,
+                "its probability": said[best],
+                "right answer": said.get(in_catalogue, 0.0),
+            }
+        )
+    return rows
+
+
+def nats(evidence: Mapping[str, EffectEvidence], name: str) -> float:
+    """Of an effect; not a number where it was not asked about."""
+    return evidence[name].nats() if name in evidence else float("nan")
+
+
+def page(table: pd.DataFrame) -> str:
+    """The table in words."""
+    digits = {
+        "motion off by [%]": 2,
+        "its probability": 2,
+        "right answer": 2,
+        "contact [nats]": 1,
+        "gusts": 1,
+    }
+    digits |= {"contact beside free forces": 1, "gusts there": 1, "a pressure there": 1}
+    return "\n".join(
+        [
+            "# A push with a history",
+            "",
+            "Made by `python benchmarks/contact_push.py` from `contact_push.csv`: first clips of sessions "
+            "with open labels on refined motion. Beside free forces contact is a push as hard as it is deep "
+            f"(constant), or one with a history in time, at {revisions(table)}. Evidence under the law, "
+            "where contact is the same on both lines, and beside free forces; first: the most probable "
+            "answer by the package's weights; right answer: probability of the cause, of `none` where "
+            "nothing acts. A dash: nothing that might be touched was found.",
+            "",
+            in_markdown(table.round(digits)),
+            "",
+        ]
+    )
+
+
+@denormals_flushed()
+def measured(names: Sequence[str]) -> pd.DataFrame:
+    """Both lines of these sessions; what is kept is not found anew."""
+    rows: list[dict[str, object]] = []
+    for name in names:
+        folder = made(name, FOLDER, DEFAULT_CLIPS[:1])
+        kept = FOLDER / f"{folder.name}.json"
+        if not kept.is_file():
+            write_text(kept, json.dumps(lines(folder)))
+        rows += json.loads(kept.read_text())
+        print(pd.DataFrame(rows[-2:]).to_string(index=False), flush=True)
+    return pd.DataFrame(rows)
+
+
+def main() -> None:
+    """Add sessions to the table, and write the page."""
+    given = asked_for(__doc__).parse_args()
+    update(TABLE, measured(given.sessions), _KEPT, page)
+
+
+if __name__ == "__main__":
+    main()
