@@ -75,9 +75,8 @@ def lines(folder: Path) -> list[dict[str, object]]:
     session = opened(folder, FOLDER / f"{folder.name}_run", first=True)
     held = session.held()
     truth = np.load(folder / "truth_0.npy").astype(np.float64).reshape(held.clips[0].n_frames, -1, 3)
-    away = (
-        np.linalg.norm(held.motion.positions[0] - truth, axis=-1) / held.clips[0].problem.scene.cloth_size[0]
-    )
+    width = held.clips[0].problem.scene.cloth_size[0]
+    away = np.linalg.norm(held.motion.positions[0] - truth, axis=-1) / width
     cause = cause_of(folder.name)
     in_catalogue = cause if cause in CATALOGUE or cause == NONE else UNKNOWN
     every = hypotheses(session, held.motion, session.together, seen=held.clips)
