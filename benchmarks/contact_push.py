@@ -13,19 +13,17 @@ weights.
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from kept_table import asked_for, in_markdown, revisions, update
+from kept_table import asked_for, in_markdown, of_first_clips, revisions, update
 from opened_session import OpenedSession, opened
 from session_hypotheses import Hypotheses, hypotheses
-from session_ladder import cause_of, made
+from session_ladder import cause_of
 
-from toile.atomic_file import write_text
 from toile.denormals import denormals_flushed
 from toile.diagnosis.decision import NONE, UNKNOWN
 from toile.diagnosis.effect_evidence import EffectEvidence
@@ -37,7 +35,6 @@ from toile.effects.catalogue import CATALOGUE, OUTSIDE, STAND_INS
 from toile.effects.contact import Contact
 from toile.effects.gusts import Gusts
 from toile.effects.pressure import Pressure
-from toile.generation.clip_plan import DEFAULT_CLIPS
 from toile.reports.run_folder import current_git_revision
 
 FOLDER = Path("outputs") / "contact_push"
@@ -70,6 +67,7 @@ def constant(session: OpenedSession, held: HeldMotion, found: Hypotheses) -> Map
     return judged(fitting.with_own(own), base, width, outside).causes
 
 
+@denormals_flushed()
 def lines(folder: Path) -> list[dict[str, object]]:
     """What is said of a first clip with either push."""
     session = opened(folder, FOLDER / f"{folder.name}_run", first=True)
@@ -137,24 +135,10 @@ def page(table: pd.DataFrame) -> str:
     )
 
 
-@denormals_flushed()
-def measured(names: Sequence[str]) -> pd.DataFrame:
-    """Both lines of these sessions; what is kept is not found anew."""
-    rows: list[dict[str, object]] = []
-    for name in names:
-        folder = made(name, FOLDER, DEFAULT_CLIPS[:1])
-        kept = FOLDER / f"{folder.name}.json"
-        if not kept.is_file():
-            write_text(kept, json.dumps(lines(folder)))
-        rows += json.loads(kept.read_text())
-        print(pd.DataFrame(rows[-2:]).to_string(index=False), flush=True)
-    return pd.DataFrame(rows)
-
-
 def main() -> None:
     """Add sessions to the table, and write the page."""
     given = asked_for(__doc__).parse_args()
-    update(TABLE, measured(given.sessions), _KEPT, page)
+    update(TABLE, of_first_clips(given.sessions, FOLDER, {"": lines}), _KEPT, page)
 
 
 if __name__ == "__main__":

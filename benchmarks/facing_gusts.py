@@ -12,25 +12,21 @@ outputs/facing_gusts, so that it goes on where it was. Answers are by the packag
 
 from __future__ import annotations
 
-import json
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from kept_table import asked_for, in_markdown, revisions, update
+from kept_table import asked_for, in_markdown, of_first_clips, revisions, update
 from opened_session import opened
 from session_hypotheses import hypotheses
-from session_ladder import cause_of, made
+from session_ladder import cause_of
 
-from toile.atomic_file import write_text
 from toile.denormals import denormals_flushed
 from toile.diagnosis.decision import NONE, UNKNOWN
 from toile.effects.catalogue import CATALOGUE
 from toile.effects.gusts import FacingGusts, Gusts
 from toile.effects.pressure import Pressure
-from toile.generation.clip_plan import DEFAULT_CLIPS
 from toile.reports.run_folder import current_git_revision
 
 FOLDER = Path("outputs") / "facing_gusts"
@@ -99,23 +95,10 @@ def page(table: pd.DataFrame) -> str:
     )
 
 
-def measured(names: Sequence[str]) -> pd.DataFrame:
-    """Both lines of these sessions; what is kept is not found anew."""
-    rows: list[dict[str, object]] = []
-    for name in names:
-        folder = made(name, FOLDER, DEFAULT_CLIPS[:1])
-        kept = FOLDER / f"{folder.name}.json"
-        if not kept.is_file():
-            write_text(kept, json.dumps(found(folder)))
-        rows += json.loads(kept.read_text())
-        print(pd.DataFrame(rows[-2:]).to_string(index=False), flush=True)
-    return pd.DataFrame(rows)
-
-
 def main() -> None:
     """Add sessions to the table, and write the page."""
     given = asked_for(__doc__).parse_args()
-    update(TABLE, measured(given.sessions), _KEPT, page)
+    update(TABLE, of_first_clips(given.sessions, FOLDER, {"": found}), _KEPT, page)
 
 
 if __name__ == "__main__":

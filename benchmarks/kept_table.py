@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
+import json
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import pandas as pd
 import torch
 from holders import added
+from session_ladder import made
 
 from toile.atomic_file import write_text
 from toile.cli.configuration import register_resolvers
+from toile.generation.clip_plan import DEFAULT_CLIPS
 
 
 def asked_for(doc: str | None) -> argparse.ArgumentParser:
@@ -21,6 +24,29 @@ def asked_for(doc: str | None) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--sessions", nargs="+", default=[], help="to add, see session_ladder")
     return parser
+
+
+def of_first_clips(
+    names: Sequence[str], folder: Path, ways: Mapping[str, Callable[[Path], list[dict[str, object]]]]
+) -> pd.DataFrame:
+    """Lines of first clips of sessions, in several ways; what is kept in the folder is not found anew.
+
+    Args:
+        names: of sessions, see session_ladder.
+        folder: where they are made, and what is found is kept.
+        ways: what is found of a session's folder, by what the file's name ends with.
+    """
+    rows: list[dict[str, object]] = []
+    for name in names:
+        session = made(name, folder, DEFAULT_CLIPS[:1])
+        for ending, found in ways.items():
+            kept = folder / f"{session.name}{ending}.json"
+            if not kept.is_file():
+                write_text(kept, json.dumps(found(session)))
+            new = json.loads(kept.read_text())
+            print(pd.DataFrame(new).to_string(index=False), flush=True)
+            rows += new
+    return pd.DataFrame(rows)
 
 
 def update(path: Path, new: pd.DataFrame, keys: Sequence[str], page: Callable[[pd.DataFrame], str]) -> None:

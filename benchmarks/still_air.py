@@ -12,18 +12,17 @@ outputs/still_air, so that it goes on where it was. Answers are by the package's
 
 from __future__ import annotations
 
-import json
-from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import yaml
 from holders import seen_in
-from kept_table import asked_for, in_markdown, revisions, update
+from kept_table import asked_for, in_markdown, of_first_clips, revisions, update
 from opened_session import opened
 from session_hypotheses import hypotheses
-from session_ladder import cause_of, made
+from session_ladder import cause_of
 
 from toile.atomic_file import write_text
 from toile.denormals import denormals_flushed
@@ -31,7 +30,6 @@ from toile.diagnosis.base_fit import N_WIND
 from toile.diagnosis.decision import NONE, UNKNOWN
 from toile.diagnosis.session_weights import SessionWeights, chances
 from toile.effects.catalogue import CATALOGUE, STAND_INS
-from toile.generation.clip_plan import DEFAULT_CLIPS
 from toile.reports.run_folder import current_git_revision
 
 FOLDER = Path("outputs") / "still_air"
@@ -114,24 +112,15 @@ def page(table: pd.DataFrame) -> str:
     )
 
 
-def measured(names: Sequence[str]) -> pd.DataFrame:
-    """Both lines of these sessions; what is kept is not found anew."""
-    rows = []
-    for name in names:
-        folder = made(name, FOLDER, DEFAULT_CLIPS[:1])
-        for motion in AIR:
-            kept = FOLDER / f"{folder.name}, {motion}.json"
-            if not kept.is_file():
-                write_text(kept, json.dumps(found(folder, motion)))
-            rows.append(json.loads(kept.read_text()))
-            print(pd.DataFrame(rows[-1:]).to_string(index=False), flush=True)
-    return pd.DataFrame(rows)
+def _line(motion: str, folder: Path) -> list[dict[str, object]]:
+    return [found(folder, motion)]
 
 
 def main() -> None:
     """Add sessions to the table, and write the page."""
     given = asked_for(__doc__).parse_args()
-    update(TABLE, measured(given.sessions), _KEPT, page)
+    ways = {f", {motion}": partial(_line, motion) for motion in AIR}
+    update(TABLE, of_first_clips(given.sessions, FOLDER, ways), _KEPT, page)
 
 
 if __name__ == "__main__":
