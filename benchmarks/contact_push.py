@@ -17,21 +17,19 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 from kept_table import asked_for, in_markdown, of_first_clips, revisions, update
 from opened_session import OpenedSession, opened
 from session_hypotheses import Hypotheses, hypotheses
-from session_ladder import cause_of
+from session_ladder import answer_columns, cause_of, off_by
 
 from toile.denormals import denormals_flushed
-from toile.diagnosis.decision import NONE, UNKNOWN
 from toile.diagnosis.effect_evidence import EffectEvidence
 from toile.diagnosis.held_motion import HeldMotion
 from toile.diagnosis.outside_causes import OutsideCause, freed_fit, judged
 from toile.diagnosis.session_weights import SessionWeights, chances
 from toile.effects.base import Effect, VertexEffect
-from toile.effects.catalogue import CATALOGUE, OUTSIDE, STAND_INS
+from toile.effects.catalogue import OUTSIDE, STAND_INS
 from toile.effects.contact import Contact
 from toile.effects.gusts import Gusts
 from toile.effects.pressure import Pressure
@@ -72,32 +70,26 @@ def lines(folder: Path) -> list[dict[str, object]]:
     """What is said of a first clip with either push."""
     session = opened(folder, FOLDER / f"{folder.name}_run", first=True)
     held = session.held()
-    truth = np.load(folder / "truth_0.npy").astype(np.float64).reshape(held.clips[0].n_frames, -1, 3)
-    width = held.clips[0].problem.scene.cloth_size[0]
-    away = np.linalg.norm(held.motion.positions[0] - truth, axis=-1) / width
+    away = off_by(folder, held.clips, held.motion)[0].mean()
     cause = cause_of(folder.name)
-    in_catalogue = cause if cause in CATALOGUE or cause == NONE else UNKNOWN
     every = hypotheses(session, held.motion, session.together, seen=held.clips)
     law, weights = every.evidence.effects, SessionWeights.load().of_clips(1)
     rows: list[dict[str, object]] = []
     for form, causes in zip(FORMS, (constant(session, held, every), every.outside.causes), strict=True):
         freed = {name: cause.evidence for name, cause in causes.items()}
         said = chances(replace(every.evidence, outside=freed), weights)
-        best = max(said, key=lambda name: said[name])
         rows.append(
             {
                 "session": folder.name,
                 "push": form,
                 "revision": current_git_revision(),
-                "motion off by [%]": 100 * away.mean(),
+                "motion off by [%]": 100 * away,
                 "contact [nats]": nats(law, Contact.NAME),
                 "gusts": nats(law, Gusts.NAME),
                 "contact beside free forces": nats(freed, Contact.NAME),
                 "gusts there": nats(freed, Gusts.NAME),
                 "a pressure there": nats(freed, Pressure.NAME),
-                "first": best,
-                "its probability": said[best],
-                "right answer": said.get(in_catalogue, 0.0),
+                **answer_columns(said, cause),
             }
         )
     return rows

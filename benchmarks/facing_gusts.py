@@ -20,11 +20,9 @@ import pandas as pd
 from kept_table import asked_for, in_markdown, of_first_clips, revisions, update
 from opened_session import opened
 from session_hypotheses import hypotheses
-from session_ladder import cause_of
+from session_ladder import answer_columns, cause_of, off_by
 
 from toile.denormals import denormals_flushed
-from toile.diagnosis.decision import NONE, UNKNOWN
-from toile.effects.catalogue import CATALOGUE
 from toile.effects.gusts import FacingGusts, Gusts
 from toile.effects.pressure import Pressure
 from toile.reports.run_folder import current_git_revision
@@ -40,18 +38,14 @@ def found(folder: Path) -> list[dict[str, object]]:
     """What is said of a first clip with gusts of either form."""
     session = opened(folder, FOLDER / f"{folder.name}_run", first=True)
     held = session.held()
-    truth = np.load(folder / "truth_0.npy").astype(np.float64).reshape(held.clips[0].n_frames, -1, 3)
-    width = held.clips[0].problem.scene.cloth_size[0]
-    away = np.linalg.norm(held.motion.positions[0] - truth, axis=-1) / width
+    away = off_by(folder, held.clips, held.motion)[0].mean()
     cause = cause_of(folder.name)
-    in_catalogue = cause if cause in CATALOGUE or cause == NONE else UNKNOWN
     rows: list[dict[str, object]] = []
     alike = [effect.alike() if isinstance(effect, FacingGusts) else effect for effect in session.effects]
     for form, effects in zip(FORMS, (alike, session.effects), strict=True):
         asked = replace(session, effects=effects)
         every = hypotheses(asked, held.motion, session.together, seen=held.clips)
         said = every.chances()
-        best = max(said, key=lambda name: said[name])
         nats = {name: one.nats() for name, one in every.evidence.effects.items()}
         freed = {name: one.evidence.nats() for name, one in every.outside.causes.items()}
         acting = every.fits[Gusts.NAME].effects[0][-1]
@@ -60,15 +54,13 @@ def found(folder: Path) -> list[dict[str, object]]:
                 "session": folder.name,
                 "gusts push": form,
                 "revision": current_git_revision(),
-                "motion off by [%]": 100 * away.mean(),
+                "motion off by [%]": 100 * away,
                 "gusts [nats]": nats[Gusts.NAME],
                 "a pressure": nats[Pressure.NAME],
                 "gusts beside free forces": freed.get(Gusts.NAME, np.nan),
                 "a pressure there": freed.get(Pressure.NAME, np.nan),
                 "share found": 0.5 + float(acting.values[-1]) if form == "facing" else np.nan,
-                "first": best,
-                "its probability": said[best],
-                "right answer": said.get(in_catalogue, 0.0),
+                **answer_columns(said, cause),
             }
         )
     return rows

@@ -25,7 +25,7 @@ from holders import chance_of_slip, seen_in
 from kept_table import asked_for, in_markdown, revisions, update
 from opened_session import OpenedSession, opened
 from session_hypotheses import hypotheses
-from session_ladder import BLENDER, REFINED, cause_of, evidence_columns, made
+from session_ladder import BLENDER, REFINED, cause_of, evidence_columns, made, off_by
 
 from toile.atomic_file import write_text
 from toile.denormals import denormals_flushed
@@ -50,8 +50,7 @@ def found(session: OpenedSession, folder: Path, width: str) -> list[dict[str, ob
     held = session.held(settings, f"_{width.replace(' ', '_')}")
     motion, (clip,) = held.motion, held.clips
     scene = clip.problem.scene
-    truth = np.load(folder / "truth_0.npy").astype(np.float64).reshape(clip.n_frames, -1, 3)
-    away = np.linalg.norm(motion.positions[0] - truth, axis=-1) / scene.cloth_size[0]
+    away = off_by(folder, held.clips, motion)[0]
     seen = seen_in(scene, held.holders.positions[0])
     every = hypotheses(session, motion, settings, seen=held.clips)
     said = chances(replace(every.evidence, resized=seen.change), SessionWeights.load().of_clips(1))

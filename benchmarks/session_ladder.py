@@ -14,13 +14,14 @@ from __future__ import annotations
 import argparse
 import json
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import torch
+from numpy.typing import NDArray
 from opened_session import OpenedSession, opened
 from session_hypotheses import Hypotheses, hypotheses
 
@@ -40,6 +41,8 @@ from toile.generation.out_of_family.from_blender import make_clips_with_blender
 from toile.generation.out_of_family.session_set import write_opaque_session
 from toile.generation.out_of_family.sessions import SessionRequest, make_session
 from toile.reports.run_folder import current_git_revision
+
+Array = NDArray[np.float64]
 
 FOLDER = Path("outputs") / "session_ladder"
 BLENDER = "blender-"
@@ -145,22 +148,52 @@ def made(session: str, within: Path = FOLDER, plans: tuple[ClipPlan, ...] = DEFA
     return folder
 
 
+def true_motion(folder: Path, clips: Sequence[SeenClip]) -> list[Array]:
+    """Of a session that was made here: of every clip (F, N, 3) [m]."""
+    return [
+        np.load(folder / f"truth_{k}.npy").astype(np.float64).reshape(clip.n_frames, -1, 3)
+        for k, clip in enumerate(clips)
+    ]
+
+
+def off_by(folder: Path, clips: Sequence[SeenClip], motion: RefinedMotion) -> list[Array]:
+    """How far a motion is from the true one: of every clip (F, N), in widths of the cloth."""
+    width = clips[0].problem.scene.cloth_size[0]
+    both = zip(motion.positions, true_motion(folder, clips), strict=True)
+    return [np.linalg.norm(found - true, axis=-1) / width for found, true in both]
+
+
+def right_answer(cause: str) -> str:
+    """What should be said of it: its name, or none, or unknown where the catalogue lacks it."""
+    return cause if cause in CATALOGUE or cause == NONE else UNKNOWN
+
+
+def answer_columns(said: Mapping[str, float], cause: str) -> dict[str, object]:
+    """The most probable answer, and the probability of the right one.
+
+    Args:
+        said: probability of every answer.
+        cause: what has made the session.
+    """
+    best = max(said, key=lambda name: said[name])
+    return {
+        "first": best,
+        "its probability": said[best],
+        "right answer": said.get(right_answer(cause), 0.0),
+    }
+
+
 @denormals_flushed()
 def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
     """Every hypothesis on one rung."""
     session = opened(folder, out, first="one clip" in rung)
     clips, settings = session.clips, session.together
-    truth = [
-        np.load(folder / f"truth_{k}.npy").astype(np.float64).reshape(c.n_frames, -1, 3)
-        for k, c in enumerate(clips)
-    ]
+    truth = true_motion(folder, clips)
     width = clips[0].problem.scene.cloth_size[0]
     motion, seen = _motion(session, truth, rung, width)
     if "force" in rung:
         settings = replace(settings, fit=replace(settings.fit, force=_FORCE, outside=_FORCE))
-    error = 100 * np.mean(
-        [np.linalg.norm(x - t, axis=-1).mean() for x, t in zip(motion.positions, truth, strict=True)]
-    )
+    away = off_by(folder, clips, motion)
     truth_is = cause_of(folder.name)
     # The cause is fitted whatever it promises, so that what it predicts is known.
     found = hypotheses(session, motion, settings, (truth_is,), free="force" not in rung, seen=seen)
@@ -170,7 +203,7 @@ def fitted(folder: Path, rung: str, out: Path) -> list[dict[str, object]]:
         "session": folder.name,
         "rung": rung,
         "revision": current_git_revision(),
-        "position error [% of the width]": error / width,
+        "position error [% of the width]": 100 * np.mean([one.mean() for one in away]),
         "seconds": sum((clip.n_frames - 1) / clip.problem.scene.fps for clip in clips),
         "plain misfit": found.plain.misfit,
         "base misfit": base.misfit,
@@ -247,7 +280,7 @@ def _predicted(
 
 
 def _motion(
-    session: OpenedSession, truth: list[np.ndarray], rung: str, width: float
+    session: OpenedSession, truth: list[Array], rung: str, width: float
 ) -> tuple[RefinedMotion, Sequence[SeenClip]]:
     """The motion of a rung, and the clips with what is known of their holders."""
     if rung == NOISY:
@@ -299,10 +332,8 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
 
 def _of_truth(rows: pd.DataFrame, truth: str) -> float:
     """Probability of the cause, or of none or unknown where that is right; NaN where it was not kept."""
-    if truth == NONE:
-        return _first(rows, "probability of none")
-    if truth not in CATALOGUE:
-        return _first(rows, "probability of unknown")
+    if (answer := right_answer(truth)) in (NONE, UNKNOWN):
+        return _first(rows, f"probability of {answer}")
     return _first(rows[rows["effect"] == truth], "probability")
 
 

@@ -22,14 +22,13 @@ from holders import seen_in
 from kept_table import asked_for, in_markdown, of_first_clips, revisions, update
 from opened_session import opened
 from session_hypotheses import hypotheses
-from session_ladder import cause_of
+from session_ladder import answer_columns, cause_of, off_by
 
 from toile.atomic_file import write_text
 from toile.denormals import denormals_flushed
 from toile.diagnosis.base_fit import N_WIND
-from toile.diagnosis.decision import NONE, UNKNOWN
 from toile.diagnosis.session_weights import SessionWeights, chances
-from toile.effects.catalogue import CATALOGUE, STAND_INS
+from toile.effects.catalogue import STAND_INS
 from toile.reports.run_folder import current_git_revision
 
 FOLDER = Path("outputs") / "still_air"
@@ -60,8 +59,6 @@ def found(folder: Path, motion: str) -> dict[str, object]:
     held = session.held(name=f"_{motion}")
     refined, (clip,) = held.motion, held.clips
     scene = clip.problem.scene
-    truth = np.load(folder / "truth_0.npy").astype(np.float64).reshape(clip.n_frames, -1, 3)
-    away = np.linalg.norm(refined.positions[0] - truth, axis=-1) / scene.cloth_size[0]
     every = hypotheses(session, refined, session.together, seen=held.clips)
     said = chances(every.evidence, SessionWeights.load().of_clips(1))
     cause = cause_of(folder.name)
@@ -69,13 +66,11 @@ def found(folder: Path, motion: str) -> dict[str, object]:
     rivals = {name: nats for name, nats in own.items() if name not in (cause, *STAND_INS)}
     rival = max(rivals, key=lambda name: rivals[name])
     freed = every.outside.causes.get(cause)
-    best = max(said, key=lambda name: said[name])
-    in_catalogue = cause if cause in CATALOGUE or cause == NONE else UNKNOWN
     return {
         "session": folder.name,
         "wind": AIR[motion],
         "revision": current_git_revision(),
-        "motion off by [%]": 100 * away.mean(),
+        "motion off by [%]": 100 * off_by(folder, held.clips, refined)[0].mean(),
         "the model's errors [%]": 100 * every.evidence.base.share,
         "wind of the base model [m/s²]": float(np.linalg.norm(every.base.values[-N_WIND:])),
         "change of size [%]": 100 * seen_in(scene, held.holders.positions[0]).change,
@@ -84,9 +79,7 @@ def found(folder: Path, motion: str) -> dict[str, object]:
         "best rival": rival,
         "its nats": rivals[rival],
         "best stand-in [nats]": max(own[name] for name in own if name in STAND_INS),
-        "first": best,
-        "its probability": said[best],
-        "right answer": said.get(in_catalogue, 0.0),
+        **answer_columns(said, cause),
     }
 
 
