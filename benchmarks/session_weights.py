@@ -232,13 +232,16 @@ def main() -> None:
 
 def known_cases() -> dict[str, list[SessionCase]]:
     """Cases with open labels by the engine that made them."""
-    usual = SessionSettings().held
-    (width,) = (name for name, value in WIDTHS.items() if value == usual)
-    held = pd.read_csv(HELD_CORNERS)
-    tables = [held[held["width"] == width].assign(resized=held["change of size [%]"] / 100)]
+    tables = [of_width(pd.read_csv(HELD_CORNERS), SessionSettings().held)]
     if HELD.is_file():
         tables.append(pd.read_csv(HELD))
     return {str(engine): cases_of(own) for engine, own in pd.concat(tables).groupby("engine", sort=False)}
+
+
+def of_width(table: pd.DataFrame, held: float) -> pd.DataFrame:
+    """Lines of held_corners.csv by one value of ``session_model.held`` [m], in the form of the others."""
+    (width,) = (name for name, value in WIDTHS.items() if value == held)
+    return table[table["width"] == width].assign(resized=table["change of size [%]"] / 100)
 
 
 def write(cases: Mapping[str, Sequence[SessionCase]], *, ship: bool) -> None:
@@ -411,7 +414,7 @@ def _handicaps(
         there = [case for case, here in zip(cases, own, strict=True) if here]
         found = [case.chances(replace(weights, **best)) for case in there]
         right = [p[case.cause] for p, case in zip(found, there, strict=True)]
-        wrong = [_named(p) not in ("", case.cause) for p, case in zip(found, there, strict=True)]
+        wrong = [named(p) not in ("", case.cause) for p, case in zip(found, there, strict=True)]
         rows.append(
             {
                 "cause left out": kind,
@@ -434,7 +437,7 @@ def _losses(cases: Sequence[SessionCase], weights: SessionWeights) -> Array:
     return np.array([lapsed_loss(case.chances(weights)[case.cause]) for case in cases])
 
 
-def _named(p: Mapping[str, float]) -> str:
+def named(p: Mapping[str, float]) -> str:
     """The effect that is probable enough to be the answer, "" for none."""
     first = max(p, key=lambda name: p[name])
     return first if p[first] >= SessionSettings().named and first not in (NONE, UNKNOWN) else ""
@@ -457,10 +460,10 @@ def _score(asked: Sequence[tuple[SessionCase, SessionWeights]], suffix: str) -> 
     loss, right, wrong = 0.0, 0, 0
     for case, weights in asked:
         p = case.chances(weights)
-        named = _named(p)
+        name = named(p)
         loss += lapsed_loss(p[case.cause]) / len(asked)
-        right += int(named == case.cause)
-        wrong += int(named not in ("", case.cause))
+        right += int(name == case.cause)
+        wrong += int(name not in ("", case.cause))
     return {f"loss{suffix}": loss, f"named{suffix}": right, f"wrongly{suffix}": wrong}
 
 

@@ -75,6 +75,8 @@ class SessionWeights:
         smallest: distance at which any other effect, as a cause, and none are equally probable, see
             MotionEvidence.logits.
         beyond: e-folds of the odds against none at most for each logarithm beyond that distance.
+        surest: e-folds of the odds of an effect that speak for none as well, at most, where it moves the
+            cloth by little: what a model is wrong by has not been seen to show more clearly.
         threshold: evidence at which an effect and none are equally probable [nats].
         temperature: evidence by which the odds of an effect grow e-fold [nats].
         law_spread: deviation of the logarithm of both from cloth to cloth: by how much the law is wrong about
@@ -111,6 +113,7 @@ class SessionWeights:
     usual_spread: float = 0.4
     smallest: float = 0.008
     beyond: float = 12.0
+    surest: float = 20.0
     threshold: float = 17.0
     temperature: float = 4.0
     law_spread: float = 0.0
@@ -441,7 +444,7 @@ class MotionEvidence:
             elif name in self.sizes:
                 # Shares of none and of a cause in what speaks for the effect.
                 beyond = _beyond(self.sizes[name], weights.smallest, weights)
-                none.append(value - float(np.logaddexp(0.0, beyond)))
+                none.append(min(value, weights.surest) - float(np.logaddexp(0.0, beyond)))
                 odds[name] = value - float(np.logaddexp(0.0, -beyond))
         odds[NONE] = float(np.logaddexp.reduce(none))
         not_outside = float(np.logaddexp.reduce(list(odds.values())))
@@ -449,7 +452,8 @@ class MotionEvidence:
             if name in both:
                 continue
             beyond = _beyond(self.sizes[name], weights.smallest, weights) if name in self.sizes else np.inf
-            odds[NONE] = float(np.logaddexp(odds[NONE], not_outside + value - np.logaddexp(0.0, beyond)))
+            of_none = min(value, weights.surest) - np.logaddexp(0.0, beyond)
+            odds[NONE] = float(np.logaddexp(odds[NONE], not_outside + of_none))
             of_balance = not_outside + value - np.logaddexp(0.0, -beyond)
             odds[name] = float(np.logaddexp(odds[name], of_balance) if name in either else of_balance)
         return odds

@@ -97,6 +97,36 @@ def test_what_hardly_moves_the_cloth_is_no_cause_however_sure() -> None:
     assert chances(nothing, weights)[NONE] > 0.8
 
 
+def test_what_no_null_shows_is_a_cause_although_it_is_small() -> None:
+    weights, at = SessionWeights(), SessionWeights().smallest
+
+    def p(drop: float, size: float, weights: SessionWeights = weights) -> float:
+        one = replace(evidence((drop, 2.0, 1.0)), sizes={"air_drag": size * at})
+        return chances(one, weights)["air_drag"]
+
+    # As much as nulls have shares itself evenly with none at that size, whatever it is.
+    assert p(50.0, 1.0) == pytest.approx(0.5, abs=0.05)
+    assert p(90.0, 1.0) == pytest.approx(0.5, abs=0.05)
+    assert p(900.0, 1.0) > 0.999
+    assert p(900.0, 1.0, replace(weights, surest=1e9)) == pytest.approx(0.5, abs=0.01)
+    # What hardly moves the cloth is none as before.
+    assert p(90.0, 0.3) < 0.01
+    assert p(120.0, 0.1) < 0.01
+
+
+def test_the_same_holds_for_causes_from_outside() -> None:
+    weights, at = SessionWeights(), SessionWeights().smallest
+
+    def p(drop: float, size: float) -> float:
+        freed = evidence((drop, 1.0, 1.0)).effects["air_drag"]
+        one = replace(evidence((1.0, 2.0, 1.0)), outside={"air_drag": freed}, sizes={"air_drag": size * at})
+        return chances(one, weights)["air_drag"]
+
+    assert p(60.0, 1.0) == pytest.approx(0.5, abs=0.05)
+    assert p(900.0, 1.0) > 0.999
+    assert p(90.0, 0.2) < 0.01
+
+
 def test_causes_from_outside_are_judged_by_what_free_forces_leave_alone() -> None:
     """What a law says of drag counts neither for it nor against it: the law may be wrong."""
     weights = SessionWeights()
