@@ -54,9 +54,17 @@ LATEST = (
     "sixteenth_medium",
     "fifth_effects",
     "seventeenth_medium",
+    "sixth_effects",
 )
 """Sets answered since what the catalogue lacks has stand-ins, and contact is a candidate."""
-LAST = ("third_short", "fifteenth_medium", "sixteenth_medium", "fifth_effects", "seventeenth_medium")
+LAST = (
+    "third_short",
+    "fifteenth_medium",
+    "sixteenth_medium",
+    "fifth_effects",
+    "seventeenth_medium",
+    "sixth_effects",
+)
 """Those of them answered since corners that nobody moved are held; in what they differ: ``last_page``."""
 OF_CAUSES = ("second_effects", "third_effects", "fourteenth_medium", "second_short", "fourth_effects", *LAST)
 """Sets whose labels of Blender's scenes name the vertices that an effect acts on. Before they named those
@@ -201,9 +209,9 @@ def last_page(table: pd.DataFrame, every: pd.DataFrame) -> str:
             f"Made by `make blind-sessions-pooled` from the marks of {_sets(own)}, every session answered "
             "before its label was opened, by the version that its page names. All are since corners that "
             "nobody moved are held. They differ in three steps: since "
-            "[sixteenth medium](blind_sessions_sixteenth_medium.md) nothing blows in a release, in "
+            "[sixteenth medium](blind_sessions_sixteenth_medium.md) nothing blows in a release, since "
             "[seventeenth medium](blind_sessions_seventeenth_medium.md) gusts push harder what faces them, "
-            "and in three of its sessions an obstacle's push has a history. All versions: "
+            "and since three of its sessions an obstacle's push has a history. All versions: "
             f"[the record]({STEM}.md). Value [95 % interval], sessions. With few sessions the calibration "
             "error comes out too large.",
             aims_section(table),
