@@ -55,6 +55,7 @@ LATEST = (
     "fifth_effects",
     "seventeenth_medium",
     "sixth_effects",
+    "seventh_effects",
 )
 """Sets answered since what the catalogue lacks has stand-ins, and contact is a candidate."""
 LAST = (
@@ -64,6 +65,7 @@ LAST = (
     "fifth_effects",
     "seventeenth_medium",
     "sixth_effects",
+    "seventh_effects",
 )
 """Those of them answered since corners that nobody moved are held; in what they differ: ``last_page``."""
 OF_CAUSES = ("second_effects", "third_effects", "fourteenth_medium", "second_short", "fourth_effects", *LAST)
@@ -208,10 +210,12 @@ def last_page(table: pd.DataFrame, every: pd.DataFrame) -> str:
             "# Sealed sessions since corners are held",
             f"Made by `make blind-sessions-pooled` from the marks of {_sets(own)}, every session answered "
             "before its label was opened, by the version that its page names. All are since corners that "
-            "nobody moved are held. They differ in three steps: since "
+            "nobody moved are held. They differ in four steps: since "
             "[sixteenth medium](blind_sessions_sixteenth_medium.md) nothing blows in a release, since "
             "[seventeenth medium](blind_sessions_seventeenth_medium.md) gusts push harder what faces them, "
-            "and since three of its sessions an obstacle's push has a history. All versions: "
+            "since three of its sessions an obstacle's push has a history, and in "
+            "[seventh effects](blind_sessions_seventh_effects.md) what may speak for `none` is bounded. "
+            "All versions: "
             f"[the record]({STEM}.md). Value [95 % interval], sessions. With few sessions the calibration "
             "error comes out too large.",
             aims_section(table),
