@@ -299,9 +299,9 @@ def write(cases: Mapping[str, Sequence[SessionCase]], *, ship: bool) -> None:
         "Made by `python benchmarks/session_weights.py` from `held_corners.csv` (first clips of sessions of "
         "the ladder's kind) and `session_evidence_held.csv` (sealed sets after grading), by motions whose "
         f"corners are held to 2 mm: {len(everything)} cases of {n} generated sessions of {len(teaching)} "
-        "engines, open labels. Development data, no blind check; `strange` and `strangeness` are set by "
-        "hand, the spread of sizes from outside is of [outside_causes.md](outside_causes.md), weights of the "
-        "apparent size and of slips of [holders.md](holders.md).",
+        "engines, open labels. Development data, no blind check; `strange`, `strangeness` and `surest` "
+        "are set by hand, the spread of sizes from outside is of [outside_causes.md](outside_causes.md), "
+        "weights of the apparent size and of slips of [holders.md](holders.md).",
         "",
         "## An engine that taught nothing",
         "",
