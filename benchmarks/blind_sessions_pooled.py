@@ -28,6 +28,16 @@ SCENE = "1, as a scene"
 _SESSIONS = "this method"
 EARLIER = ("twelve", "eight", "second_twelve", "second_eight", "four")
 """Sets answered before the motion was refined by the model's errors as they are found, oldest first."""
+LAST = (
+    "third_short",
+    "fifteenth_medium",
+    "sixteenth_medium",
+    "fifth_effects",
+    "seventeenth_medium",
+    "sixth_effects",
+    "seventh_effects",
+)
+"""Sets answered since corners that nobody moved are held; in what they differ: ``last_page``."""
 LATEST = (
     "outside",
     "medium",
@@ -49,25 +59,9 @@ LATEST = (
     "fourteenth_medium",
     "second_short",
     "fourth_effects",
-    "third_short",
-    "fifteenth_medium",
-    "sixteenth_medium",
-    "fifth_effects",
-    "seventeenth_medium",
-    "sixth_effects",
-    "seventh_effects",
+    *LAST,
 )
 """Sets answered since what the catalogue lacks has stand-ins, and contact is a candidate."""
-LAST = (
-    "third_short",
-    "fifteenth_medium",
-    "sixteenth_medium",
-    "fifth_effects",
-    "seventeenth_medium",
-    "sixth_effects",
-    "seventh_effects",
-)
-"""Those of them answered since corners that nobody moved are held; in what they differ: ``last_page``."""
 OF_CAUSES = ("second_effects", "third_effects", "fourteenth_medium", "second_short", "fourth_effects", *LAST)
 """Sets whose labels of Blender's scenes name the vertices that an effect acts on. Before they named those
 that move, and any map of a drag had 0.8: such marks count no more."""
