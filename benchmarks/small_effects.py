@@ -14,14 +14,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import pandas as pd
-from held_corners import TABLE as HELD_CORNERS
-from session_ladder import NEVER_LEARNT_FROM
-from session_weights import RESULTS, cases_of, named, of_width
+from kept_evidence import by_engines, compared, kept_cases
+from session_weights import RESULTS
 
 from toile.atomic_file import write_text
 from toile.diagnosis.decision import NONE
-from toile.diagnosis.session_settings import SessionSettings
-from toile.diagnosis.session_weights import SessionCase, SessionWeights, lapsed_loss
+from toile.diagnosis.session_weights import SessionCase, SessionWeights
 from toile.effects.catalogue import STAND_INS
 
 PAGE = RESULTS / "small_effects.md"
@@ -29,39 +27,6 @@ SUREST = (1e9, 30.0, 20.0, 12.0, 8.0, 4.0)
 """Values that are compared; the first bounds nothing."""
 MOST = 8
 """Lines that are shown of nulls."""
-
-
-def cases() -> list[SessionCase]:
-    """Of all tables of evidence; a session that two versions have judged counts twice."""
-    held = pd.read_csv(HELD_CORNERS)
-    tables = [of_width(held, SessionSettings().held)]
-    tables += [pd.read_csv(path) for path in sorted(RESULTS.glob("session_evidence_*.csv"))]
-    of_engines = [
-        [replace(case, session=f"{engine} {case.session}") for case in cases_of(own)]
-        for table in tables
-        for engine, own in table.groupby("engine", sort=False)
-    ]
-    return [case for own in of_engines for case in own]
-
-
-def compared(every: Sequence[SessionCase], weights: SessionWeights) -> pd.DataFrame:
-    """Loss and names by value of ``surest``, teaching engines and the one that never teaches apart."""
-    rows = []
-    for value in SUREST:
-        row: dict[str, object] = {"surest": "no bound" if value == SUREST[0] else f"{value:g}"}
-        for engines, own in _by_engines(every).items():
-            found = [case.chances(replace(weights, surest=value)) for case in own]
-            names = [named(p) for p in found]
-            losses = [lapsed_loss(p[case.cause]) for case, p in zip(own, found, strict=True)]
-            row |= {
-                f"loss, {engines}": sum(losses),
-                f"named, {engines}": sum(n == case.cause for n, case in zip(names, own, strict=True)),
-                f"wrongly, {engines}": sum(
-                    n not in ("", case.cause) for n, case in zip(names, own, strict=True)
-                ),
-            }
-        rows.append(row)
-    return pd.DataFrame(rows)
 
 
 def of_nulls(every: Sequence[SessionCase], weights: SessionWeights) -> pd.DataFrame:
@@ -112,20 +77,16 @@ def page(table: pd.DataFrame, nulls: pd.DataFrame, n: Mapping[str, int], weights
     )
 
 
-def _by_engines(every: Sequence[SessionCase]) -> dict[str, list[SessionCase]]:
-    found: dict[str, list[SessionCase]] = {"own and Blender": [], "MuJoCo": []}
-    for case in every:
-        never = case.session.startswith(NEVER_LEARNT_FROM)
-        found["MuJoCo" if never else "own and Blender"].append(case)
-    return found
-
-
 def main() -> None:
     """Write the page."""
     weights = SessionWeights.load()
-    every = cases()
-    n = {name: len(own) for name, own in _by_engines(every).items()}
-    text = page(compared(every, weights), of_nulls(every, weights), n, weights)
+    every = kept_cases()
+    engines = by_engines(every)
+    values = {
+        "no bound" if value == SUREST[0] else f"{value:g}": replace(weights, surest=value) for value in SUREST
+    }
+    n = {name: len(own) for name, own in engines.items()}
+    text = page(compared(engines, "surest", values), of_nulls(every, weights), n, weights)
     write_text(PAGE, text)
     print(text)
 

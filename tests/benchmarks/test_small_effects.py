@@ -17,7 +17,7 @@ def test_no_null_has_as_much_evidence_as_the_bound(monkeypatch: pytest.MonkeyPat
     monkeypatch.chdir(ROOT)
     program = importlib.import_module("small_effects")
     weights = SessionWeights.load()
-    nulls = program.of_nulls(program.cases(), weights)
+    nulls = program.of_nulls(program.kept_cases(), weights)
     assert len(nulls) > 100
     assert nulls["e-folds"].max() < weights.surest / 2
     assert f"| {nulls['session'].iloc[0]} " in program.PAGE.read_text()

@@ -12,7 +12,7 @@ what images do not see, the depth of a sheet that faces the camera, is uncertain
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated
 
@@ -72,11 +72,19 @@ class OutsideCauses:
     passes: int = 0
     converged: bool = True
 
-    def leading(self, least: float) -> str | None:
-        """The cause with most evidence, stand-ins aside; None where that is less than so many nats."""
-        nats = {n: cause.evidence.nats() for n, cause in self.causes.items() if n not in STAND_INS}
-        best = max(nats, key=lambda name: nats[name], default=None)
-        return best if best is not None and nats[best] >= least else None
+    def leading(self, asked: Callable[[str], float]) -> str | None:
+        """The cause with most evidence beyond what is asked of it, stand-ins aside; None where none has it.
+
+        Args:
+            asked: of a cause by its name [nats].
+        """
+        beyond = {
+            name: cause.evidence.nats() - asked(name)
+            for name, cause in self.causes.items()
+            if name not in STAND_INS
+        }
+        best = max(beyond, key=lambda name: beyond[name], default=None)
+        return best if best is not None and beyond[best] >= 0.0 else None
 
 
 def outside_causes(

@@ -270,7 +270,7 @@ def diagnose_session(
     asked = [*moving, *stand_ins]
     chosen = promising(base, fits, asked, errors, together.fitted, plain, base.names, learned)
     # What leads from outside is predicted as well, whatever its fit under a law says.
-    leads = outside.leading(weights.outside_threshold)
+    leads = outside.leading(weights.asked_of_outside)
     chosen += [e for e in moving if leads == e.NAME and e not in chosen]
     # Tangents say nothing of what works against a stiffness that is not there.
     chosen += [e for e in moving if model.fitting.has_lost_its_stiffness(e, base) and e not in chosen]

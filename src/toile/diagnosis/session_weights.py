@@ -23,7 +23,7 @@ from toile.atomic_file import write_text
 from toile.diagnosis.decision import NONE, UNKNOWN
 from toile.diagnosis.effect_evidence import EffectEvidence
 from toile.diagnosis.model_errors import ModelErrors
-from toile.effects.catalogue import PUSHING, STAND_INS, WEIGHING
+from toile.effects.catalogue import PUSHING, STAND_INS, UNCHANGING, WEIGHING
 from toile.effects.gusts import Gusts
 from toile.effects.pressure import Pressure
 from toile.effects.rest_length_drift import RestLengthDrift
@@ -85,6 +85,8 @@ class SessionWeights:
         outside_threshold: evidence, the forces within the cloth free, at which a cause from outside and all
             that is not from there are equally probable [nats].
         outside_temperature: evidence by which its odds grow e-fold [nats].
+        outside_unchanging: share of outside_threshold that is asked of a cause of UNCHANGING: it has no
+            history with which to take up what a motion is wrong by, as gusts have.
         rivals: evidence under the law by which the odds of one cause from outside against another grow e-fold
             [nats].
         farthest: e-folds by which the law tells them apart at most: a fit may have failed.
@@ -120,6 +122,7 @@ class SessionWeights:
     learned: float = 0.5
     outside_threshold: float = 15.0
     outside_temperature: float = 4.0
+    outside_unchanging: float = 1.0
     rivals: float = 16.0
     farthest: float = 5.0
     stand_in: float = 30.0
@@ -185,6 +188,10 @@ class SessionWeights:
             outside_stand_in=freed * self.outside_stand_in,
             outside_temperature=freed * self.outside_temperature,
         )
+
+    def asked_of_outside(self, name: str) -> float:
+        """Evidence, the forces within the cloth free, that is asked of a cause from outside [nats]."""
+        return self.outside_threshold * (self.outside_unchanging if name in UNCHANGING else 1.0)
 
     def write(self, path: Path, source: str) -> None:
         """Write them with what they were learnt from."""
@@ -414,7 +421,7 @@ class MotionEvidence:
             for name in within
         }
         freed = {
-            name: (self.freed_nats(name) - weights.outside_threshold) / weights.outside_temperature
+            name: (self.freed_nats(name) - weights.asked_of_outside(name)) / weights.outside_temperature
             for name in self.outside
             if name != RestLengthDrift.NAME
         }

@@ -71,6 +71,9 @@ WEIGHING = ("nonuniform_density",)
 PUSHING = ("contact",)
 """Those of them whose push, in a place and for a moment, may hardly show in that balance."""
 
+UNCHANGING = ("air_drag", "gravity_tilt", "frame_rate")
+"""Those of them that one to three numbers say, the same all over the cloth and all the time."""
+
 StandInEffect = SteadyForces | RestLengthDrift | Pressure
 
 STAND_INS: Mapping[str, type[StandInEffect]] = MappingProxyType(

@@ -482,7 +482,7 @@ class TestCausesFromOutside:
         within = CATALOGUE["rest_curvature"](curled), CATALOGUE["anisotropic_stiffness"](uneven)
         found, of_law = self.found(*within)
         assert max(cause.evidence.nats() for cause in found.causes.values()) < 3
-        assert found.leading(3.0) is None
+        assert found.leading(lambda _: 3.0) is None
         # Under a law that knows nothing of it, a density that varies passes for it.
         assert of_law > 10
 

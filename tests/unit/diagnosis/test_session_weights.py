@@ -170,6 +170,22 @@ def test_the_law_tells_causes_from_outside_apart_where_free_forces_cannot() -> N
     assert weak[0] == pytest.approx(weak[1], rel=1e-6)
 
 
+def test_a_cause_without_a_history_needs_less_beside_free_forces() -> None:
+    """Drag of 19 nats, which nothing but drag has ever had there, was 0.52."""
+    even, weights = SessionWeights(), replace(SessionWeights(), outside_unchanging=0.5)
+    assert weights.asked_of_outside("air_drag") == 0.5 * weights.asked_of_outside("gusts")
+    freed = evidence((15.0, 2.0, 2.0)).effects["air_drag"]
+    law = evidence((3.0, 2.0, 2.0)).effects
+    drag = replace(evidence((3.0, 2.0, 2.0)), outside={"air_drag": freed})
+    assert chances(drag, even)["air_drag"] < 0.4 < 0.6 < chances(drag, weights)["air_drag"]
+    # Gusts take up more where nothing blows, so the same is asked of them as before.
+    gusts = replace(drag, effects={**law, "gusts": law["air_drag"]}, outside={"gusts": freed})
+    assert chances(gusts, even)["gusts"] == pytest.approx(chances(gusts, weights)["gusts"])
+    # With several clips it is the same share of what is asked then.
+    three = weights.of_clips(3)
+    assert three.asked_of_outside("air_drag") == 0.5 * three.outside_threshold
+
+
 def test_a_fit_that_failed_does_not_rule_a_cause_from_outside_out() -> None:
     """A clock of 200 nats had none under the law: its fit could not move."""
     found = chances(rivals((0.0, 900.0), (90.0, 50.0)), SessionWeights())
