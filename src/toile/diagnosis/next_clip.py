@@ -172,14 +172,17 @@ def expected_gain(
         calm: whether nothing of what the clip alone has acts in it.
     """
     now, then = weights.of_clips(n_clips), weights.of_clips(n_clips + 1)
-    odds = evidence.odds(now)
-    truths = dict(zip(odds, softmax(list(odds.values())), strict=True))
+    # Of none a part may be an effect that moves the cloth by little: more clips would be as sure of it.
+    parts = evidence.parts(now)
+    truths: dict[str, float] = {}
+    for (_, acting), share in zip(parts, softmax(list(parts.values())), strict=True):
+        truths[acting] = truths.get(acting, 0.0) + float(share)
     values, vectors = np.linalg.eigh(0.5 * (information + information.T))
     # Differences of large matrices; what falls below zero is rounding.
     spread = vectors * np.sqrt(np.clip(values, 0.0, None))
     information = spread @ spread.T
     updates = {name: _Update(one, information, calm) for name, one in known.items()}
-    share = {name: _share(evidence, name) for name in evidence.outside}
+    of_free = {name: _share(evidence, name) for name in evidence.outside}
     total, left = 0.0, 0.0
     for truth, chance in truths.items():
         if chance < _SMALLEST:
@@ -196,7 +199,7 @@ def expected_gain(
             noise = np.sqrt(max(1.0, wrong)) * spread @ rng.standard_normal(len(information))
             score = information @ coefficients + noise
             more = {name: updates[name].nats(score) for name in updates}
-            further = _Further(**_fields(evidence), more=more, share=share)
+            further = _Further(**_fields(evidence), more=more, share=of_free)
             left += chance / draws * _entropy(chances(further, then))
         total += chance
     return float(_entropy(chances(evidence, now)) - left / total)

@@ -359,14 +359,24 @@ class MotionEvidence:
         return {**odds, UNKNOWN: float(np.logaddexp.reduce([-np.inf, *stand_ins]))}
 
     def odds(self, weights: SessionWeights) -> dict[str, float]:
-        """Log odds of every effect, every stand-in and of none of them, up to a common constant.
+        """Log odds of every effect, every stand-in and of none of them, up to a common constant."""
+        found: dict[str, float] = {}
+        for (answer, _), value in self.parts(weights).items():
+            found[answer] = float(np.logaddexp(found.get(answer, -np.inf), value))
+        return found
+
+    def parts(self, weights: SessionWeights) -> dict[tuple[str, str], float]:
+        """Log odds of every answer, apart by what acts where it is right, up to a common constant.
+
+        What acts is the answer itself, but for none: there it may be an effect that moves the cloth by
+        little, or a density that is an error of the law.
 
         Evidence within the cloth is as wrong as the law is, and by how much that is differs between cloths
         more than few of them can teach. So threshold and temperature are averaged over (``law_spread``):
         what is a little above a threshold is no certainty, however steep the odds of those that taught.
         """
         if not weights.law_spread:
-            return self._odds(weights)
+            return self._parts(weights)
         each = []
         for at, share in zip(_AT, _SHARES, strict=True):
             wrong = float(np.exp(weights.law_spread * at))
@@ -378,12 +388,12 @@ class MotionEvidence:
                 stand_in=wrong * weights.stand_in,
                 searched=wrong * weights.searched,
             )
-            found = self._odds(of_law)
+            found = self._parts(of_law)
             values = np.array(list(found.values()))
             each.append(np.log(share) + values - np.logaddexp.reduce(values))
         return dict(zip(found, map(float, np.logaddexp.reduce(each)), strict=True))
 
-    def _odds(self, weights: SessionWeights) -> dict[str, float]:
+    def _parts(self, weights: SessionWeights) -> dict[tuple[str, str], float]:
         """The same of a law whose errors are known.
 
         None is an interval and no point: an effect of the size that a model on a grid is usually wrong by is
@@ -441,7 +451,7 @@ class MotionEvidence:
             best = max(rivals, key=lambda name: self._of_law(name, weights))
             taken = sum(self._stands_against(best, one, freed[one], weights) for one in both)
             freed |= {name: freed[name] - taken for name in rivals}
-        none = [0.0, *(odds[name] - float(np.logaddexp(0.0, freed[name])) for name in sorted(both))]
+        none = {NONE: 0.0} | {n: odds[n] - float(np.logaddexp(0.0, freed[n])) for n in sorted(both)}
         odds |= {name: odds[name] - float(np.logaddexp(0.0, -freed[name])) for name in both}
         for name, value in odds.items():
             if name in self.usual:
@@ -451,19 +461,19 @@ class MotionEvidence:
             elif name in self.sizes:
                 # Shares of none and of a cause in what speaks for the effect.
                 beyond = _beyond(self.sizes[name], weights.smallest, weights)
-                none.append(min(value, weights.surest) - float(np.logaddexp(0.0, beyond)))
+                small = min(value, weights.surest) - float(np.logaddexp(0.0, beyond))
+                none[name] = float(np.logaddexp(none.get(name, -np.inf), small))
                 odds[name] = value - float(np.logaddexp(0.0, -beyond))
-        odds[NONE] = float(np.logaddexp.reduce(none))
-        not_outside = float(np.logaddexp.reduce(list(odds.values())))
+        not_outside = float(np.logaddexp.reduce([*odds.values(), *none.values()]))
         for name, value in freed.items():
             if name in both:
                 continue
             beyond = _beyond(self.sizes[name], weights.smallest, weights) if name in self.sizes else np.inf
-            of_none = min(value, weights.surest) - np.logaddexp(0.0, beyond)
-            odds[NONE] = float(np.logaddexp(odds[NONE], not_outside + of_none))
+            small = not_outside + min(value, weights.surest) - np.logaddexp(0.0, beyond)
+            none[name] = float(np.logaddexp(none.get(name, -np.inf), small))
             of_balance = not_outside + value - np.logaddexp(0.0, -beyond)
             odds[name] = float(np.logaddexp(odds[name], of_balance) if name in either else of_balance)
-        return odds
+        return {(n, n): v for n, v in odds.items()} | {(NONE, n): v for n, v in none.items()}
 
     def _stands_against(self, other: str, name: str, freed: float, weights: SessionWeights) -> float:
         """Log odds of ``name`` beside free forces, as far as the law prefers it to another one."""

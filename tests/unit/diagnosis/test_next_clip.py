@@ -87,6 +87,23 @@ class TestExpectedGain:
         one, nine = (gain(8 * np.eye(2), weights=wrong, n_clips=n) for n in (1, 9))
         assert 0.0 < nine < 0.6 * one
 
+    def test_no_clip_tells_whether_what_moves_the_cloth_by_little_is_a_cause(self) -> None:
+        """One was asked for, and the answer stayed where a rule about sizes had put it."""
+        weights = replace(EXACT, surest=1e9)
+        small, large = (
+            replace(evidence({"air_drag": 20.0}), sizes={"air_drag": size * weights.smallest})
+            for size in (1.0, 4.0)
+        )
+        assert small.odds(weights)["air_drag"] == pytest.approx(small.odds(weights)["none"], abs=1e-3)
+        of = {"air_drag": known(0)}
+        gains = [
+            expected_gain(of, 1e3 * np.eye(1), one, weights, 1, 64, np.random.default_rng(0))
+            for one in (small, replace(evidence({"air_drag": 0.0}), sizes=large.sizes))
+        ]
+        assert gains[0] == pytest.approx(0.0, abs=1e-2)
+        # Whether a large one acts a clip does tell.
+        assert gains[1] == pytest.approx(np.log(2), abs=1e-2)
+
     def test_a_stand_in_may_be_the_truth(self) -> None:
         nats = {**EVEN, "steady_forces": 20.0}
         effects = {name: known(k) for k, name in enumerate(nats)}

@@ -114,6 +114,15 @@ def test_what_no_null_shows_is_a_cause_although_it_is_small() -> None:
     assert p(120.0, 0.1) < 0.01
 
 
+def test_what_acts_where_none_is_the_answer_is_told() -> None:
+    weights = replace(SessionWeights(), law_spread=0.7)
+    small = replace(evidence((60.0, 3.0, 3.0)), sizes={"air_drag": weights.smallest})
+    parts, odds = small.parts(weights), small.odds(weights)
+    assert parts[NONE, "air_drag"] > parts[NONE, NONE] + 1
+    assert np.logaddexp.reduce([v for (n, _), v in parts.items() if n == NONE]) == pytest.approx(odds[NONE])
+    assert parts["air_drag", "air_drag"] == pytest.approx(odds["air_drag"])
+
+
 def test_the_same_holds_for_causes_from_outside() -> None:
     weights, at = SessionWeights(), SessionWeights().smallest
 
