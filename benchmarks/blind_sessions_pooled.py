@@ -36,6 +36,7 @@ LAST = (
     "seventeenth_medium",
     "sixth_effects",
     "seventh_effects",
+    "eighteenth_medium",
 )
 """Sets answered since corners that nobody moved are held; in what they differ: ``last_page``."""
 LATEST = (
@@ -207,7 +208,7 @@ def last_page(table: pd.DataFrame, every: pd.DataFrame) -> str:
             "nobody moved are held. They differ in four steps: since "
             "[sixteenth medium](blind_sessions_sixteenth_medium.md) nothing blows in a release, since "
             "[seventeenth medium](blind_sessions_seventeenth_medium.md) gusts push harder what faces them, "
-            "since three of its sessions an obstacle's push has a history, and in "
+            "since three of its sessions an obstacle's push has a history, and since "
             "[seventh effects](blind_sessions_seventh_effects.md) what may speak for `none` is bounded. "
             "All versions: "
             f"[the record]({STEM}.md). Value [95 % interval], sessions. With few sessions the calibration "
