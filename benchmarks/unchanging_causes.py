@@ -3,14 +3,14 @@
     python benchmarks/unchanging_causes.py  # a minute
 
 Beside free forces a cause from outside is asked for more evidence than what a motion is wrong by has been
-seen to give it. Gusts, thirty numbers a clip, take up more of that than drag, a tilt or a wrong clock, which
-one to three numbers say (UNCHANGING). Which share of the others' threshold is asked of those,
+seen to give it. Gusts, over twenty numbers a clip, take up more of that than drag, a tilt or a wrong clock,
+which one to three numbers say (UNCHANGING). Which share of the others' threshold is asked of those,
 ``outside_unchanging`` says. It is asked of the evidence of sessions with open labels that is kept here.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -68,19 +68,18 @@ def changed(every: Sequence[SessionCase], before: SessionWeights, now: SessionWe
     return pd.DataFrame(rows)
 
 
-def page(groups: Mapping[str, Sequence[SessionCase]], weights: SessionWeights) -> str:
+def page(today: Sequence[SessionCase], others: Sequence[SessionCase], weights: SessionWeights) -> str:
     """All tables in words."""
     values = {f"{share:g}": replace(weights, outside_unchanging=share) for share in SHARES}
-    counted = ", ".join(f"{len(own)} of {name}" for name, own in groups.items())
-    today, others = (kept_cases(of_today=which) for which in (True, False))
     least = weights.outside_threshold
     return "\n".join(
         [
             "# Causes from outside that have no history",
             "",
             "Made by `python benchmarks/unchanging_causes.py` from evidence of sessions with open labels "
-            f"that is kept here, of several versions: {counted}. Development data, no blind check; MuJoCo's "
-            "cases choose nothing. Beside free forces a cause from outside is asked for "
+            f"that is kept here, of several versions: {_counted(today)} by a base model as fine as today's, "
+            f"{_counted(others)} by a coarser grid, before. Development data, no blind check; MuJoCo's cases "
+            "choose nothing. Beside free forces a cause from outside is asked for "
             f"{least:.1f} nats from one clip (`outside_threshold`); drag, a tilt of gravity and a wrong "
             "clock, which one to three numbers say, for a share of that (`outside_unchanging`).",
             "",
@@ -94,10 +93,15 @@ def page(groups: Mapping[str, Sequence[SessionCase]], weights: SessionWeights) -
             "",
             "## Answers by share",
             "",
-            "Loss: sum of negative log probabilities of the causes; named: with 0.9 and more. Before: cases "
-            "by a coarser grid.",
+            "Loss: sum of negative log probabilities of the causes; named: with 0.9 and more.",
             "",
-            compared(groups, "share", values).to_markdown(index=False, floatfmt=".2f"),
+            "### By a base model as fine as today's",
+            "",
+            compared(by_engines(today), "share", values).to_markdown(index=False, floatfmt=".2f"),
+            "",
+            "### By a coarser grid, before",
+            "",
+            compared(by_engines(others), "share", values).to_markdown(index=False, floatfmt=".2f"),
             "",
             f"The package's is {weights.outside_unchanging:g}: the least loss on the cases of own and "
             "Blender by today's grid.",
@@ -107,11 +111,11 @@ def page(groups: Mapping[str, Sequence[SessionCase]], weights: SessionWeights) -
             "Against a share of 1: another answer, or a probability of the cause that differs by more than "
             "0.1.",
             "",
-            "### By a base model as fine as today's",
+            "### Of today's grid",
             "",
             changed(today, even(weights), weights).to_markdown(index=False, floatfmt=".2f"),
             "",
-            "### By a coarser grid, before",
+            "### Of a coarser grid",
             "",
             changed(others, even(weights), weights).to_markdown(index=False, floatfmt=".2f"),
             "",
@@ -119,11 +123,13 @@ def page(groups: Mapping[str, Sequence[SessionCase]], weights: SessionWeights) -
     )
 
 
+def _counted(cases: Sequence[SessionCase]) -> str:
+    return " and ".join(f"{len(own)} of {name}" for name, own in by_engines(cases).items())
+
+
 def main() -> None:
     """Write the page."""
-    today, others = (by_engines(kept_cases(of_today=which)) for which in (True, False))
-    before = {f"{name} before": own for name, own in others.items()}
-    text = page(today | before, SessionWeights.load())
+    text = page(kept_cases(of_today=True), kept_cases(of_today=False), SessionWeights.load())
     write_text(PAGE, text)
     print(text)
 

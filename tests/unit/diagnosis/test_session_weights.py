@@ -180,7 +180,7 @@ def test_the_law_tells_causes_from_outside_apart_where_free_forces_cannot() -> N
 
 
 def test_a_cause_without_a_history_needs_less_beside_free_forces() -> None:
-    """Drag of 19 nats, which nothing but drag has ever had there, was 0.52."""
+    """Drag of 19 nats was 0.52; where nothing acts from outside it has 2 at most."""
     even, weights = SessionWeights(), replace(SessionWeights(), outside_unchanging=0.5)
     assert weights.asked_of_outside("air_drag") == 0.5 * weights.asked_of_outside("gusts")
     freed = evidence((15.0, 2.0, 2.0)).effects["air_drag"]
