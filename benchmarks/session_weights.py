@@ -67,9 +67,10 @@ SIZES_SEEN = RESULTS / "holders.csv"
 """By how much sides seem to change, by session: benchmarks/holders.py."""
 FIXED = (
     "outside_spread",
+    "outside_unchanging",
     *(f.name for f in fields(SessionWeights) if f.name.startswith(("resiz", "cover", "slip_"))),
 )
-"""Learnt elsewhere: benchmarks/outside_causes.py, holders.py, occlusion.py."""
+"""Learnt elsewhere: benchmarks/outside_causes.py, unchanging_causes.py, holders.py, occlusion.py."""
 RIVALS = (1e9, 32.0, 16.0, 8.0, 4.0)
 """Values of ``rivals`` among which one is chosen [nats]; with the first the law is not asked."""
 _EQUAL = 0.01
@@ -301,7 +302,8 @@ def write(cases: Mapping[str, Sequence[SessionCase]], *, ship: bool) -> None:
         f"corners are held to 2 mm: {len(everything)} cases of {n} generated sessions of {len(teaching)} "
         "engines, open labels. Development data, no blind check; `strange`, `strangeness` and `surest` "
         "are set by hand, the spread of sizes from outside is of [outside_causes.md](outside_causes.md), "
-        "weights of the apparent size and of slips of [holders.md](holders.md).",
+        "`outside_unchanging` of [unchanging_causes.md](unchanging_causes.md), weights of the apparent size "
+        "and of slips of [holders.md](holders.md).",
         "",
         "## An engine that taught nothing",
         "",
