@@ -42,7 +42,10 @@ def where_idle(every: Sequence[SessionCase]) -> pd.DataFrame:
         for engines, own in by_engines(idle).items():
             nats = [case.evidence.freed_nats(name) for case in own if name in case.evidence.outside]
             row |= {f"cases, {engines}": len(nats)}
-            row |= {f"0.9, {engines}": float(np.quantile(nats, 0.9)), f"most, {engines}": max(nats)}
+            row |= {
+                f"nine of ten below, {engines}": float(np.quantile(nats, 0.9)),
+                f"most, {engines}": max(nats),
+            }
         rows.append(row)
     return pd.DataFrame(rows)
 
@@ -85,8 +88,8 @@ def page(today: Sequence[SessionCase], others: Sequence[SessionCase], weights: S
             "",
             "## What they have where nothing from outside acts",
             "",
-            "Evidence beside free forces [nats], by a base model as fine as today's: that of nine cases of "
-            f"ten is below 0.9. Stand-ins ({', '.join(STAND_INS)}) and a density, which is not from outside "
+            "Evidence beside free forces [nats], by a base model as fine as today's. "
+            f"Stand-ins ({', '.join(STAND_INS)}) and a density, which is not from outside "
             "alone, are left out.",
             "",
             where_idle(today).to_markdown(index=False, floatfmt=".1f"),
