@@ -371,6 +371,18 @@ def test_a_motion_on_another_grid_gives_the_map_alone(
     assert 'id="map-gap"' in text
 
 
+def test_no_mark_of_the_shrinkage_lies_on_the_edge(report: GapReport) -> None:
+    """One that predicts worse was cut in half, with its number."""
+    worse = dataclasses.replace(SHRINK, with_effect=9.6, estimate=-0.2, low=-0.3, high=-0.1)
+    figure = held_out([dataclasses.replace(e, shrink=worse) for e in report.effects], ())
+    assert figure is not None
+    first, last = figure.layout.xaxis.range
+    farthest = max(x for trace in figure.data for x in trace.x)
+    assert first == 0
+    assert farthest == pytest.approx(1.3 * SHRINK.base)
+    assert last > 1.05 * farthest
+
+
 def test_no_shrinkage_is_claimed_within_the_placebo() -> None:
     assert beats_placebo(SHRINK)
     weak = dataclasses.replace(SHRINK, low=0.02)

@@ -21,6 +21,8 @@ _PLACEBO, _OTHER = SERIES[1], "#8795a6"
 _SCORED = 18
 """Names up to which an alias matrix has room for numbers."""
 _WORTH_A_NUMBER = 0.5
+_ROOM = 1.1
+"""End of an axis over the farthest mark: as far as half of a mark, or of the number above it, reaches."""
 
 
 def held_out(effects: Sequence[EffectReport], chosen: Collection[str]) -> go.Figure | None:
@@ -95,7 +97,10 @@ def held_out(effects: Sequence[EffectReport], chosen: Collection[str]) -> go.Fig
     )
     # In two lines, as the chart is half a page wide at most.
     title = [f"{what} [{unit}]" if unit else what, having[0][1].held_out]
-    figure.update_xaxes(title={"text": "<br>".join(map(escape, title)), **SMALL}, rangemode="tozero")
+    farthest = max(x for trace in figure.data for x in trace.x)
+    figure.update_xaxes(
+        title={"text": "<br>".join(map(escape, title)), **SMALL}, range=[0.0, _ROOM * farthest]
+    )
     figure.update_layout(
         legend={"orientation": "h", "y": 1.04, "yanchor": "bottom", "x": 0, "xanchor": "left"}
     )
