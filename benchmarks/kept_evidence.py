@@ -11,13 +11,16 @@ from dataclasses import replace
 import pandas as pd
 from held_corners import TABLE as HELD_CORNERS
 from session_ladder import NEVER_LEARNT_FROM
-from session_weights import RESULTS, cases_of, named, of_width
+from session_weights import RESULTS, cases_of, of_width, score
 
 from toile.diagnosis.session_settings import SessionSettings
-from toile.diagnosis.session_weights import SessionCase, SessionWeights, lapsed_loss
+from toile.diagnosis.session_weights import SessionCase, SessionWeights
 
 TODAY = ("held_corners", "session_evidence_held", "session_evidence_finer", "session_evidence_sealed")
 """Tables by a base model as fine as today's; those of a coarser grid leave more to be taken up."""
+
+COLUMNS = ("", *(".3f", "g", "g") * 2)
+"""Formats of the columns of ``compared`` with two groups."""
 
 
 def kept_cases(of_today: bool | None = None) -> list[SessionCase]:
@@ -50,22 +53,19 @@ def by_engines(every: Sequence[SessionCase]) -> dict[str, list[SessionCase]]:
 def compared(
     groups: Mapping[str, Sequence[SessionCase]], setting: str, values: Mapping[str, SessionWeights]
 ) -> pd.DataFrame:
-    """Loss, names and wrong names of groups of cases by several weights.
+    """Mean loss, names and wrong names of groups of cases by several weights.
 
     Args:
         groups: cases by the group's name.
         setting: what the first column is called.
         values: weights for one clip, by what stands in that column.
     """
-    rows = []
-    for value, weights in values.items():
-        row: dict[str, object] = {setting: value}
-        for group, own in groups.items():
-            found = [case.chances(weights) for case in own]
-            names = [named(p) for p in found]
-            losses = [lapsed_loss(p[case.cause]) for case, p in zip(own, found, strict=True)]
-            right = sum(n == case.cause for n, case in zip(names, own, strict=True))
-            wrong = sum(n not in ("", case.cause) for n, case in zip(names, own, strict=True))
-            row |= {f"loss, {group}": sum(losses), f"named, {group}": right, f"wrongly, {group}": wrong}
-        rows.append(row)
-    return pd.DataFrame(rows)
+    return pd.DataFrame(
+        {setting: value}
+        | {
+            key: number
+            for group, own in groups.items()
+            for key, number in score([(case, weights) for case in own], f", {group}").items()
+        }
+        for value, weights in values.items()
+    )

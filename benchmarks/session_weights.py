@@ -271,7 +271,7 @@ def write(cases: Mapping[str, Sequence[SessionCase]], *, ship: bool) -> None:
             losses.append(np.array([lapsed_loss(case.chances(w)[case.cause]) for case, w in asked]))
             about = {"weights": which, "law_spread": spread}
             others = _of_unseen(unseen, of_all)
-            rows.append(about | _score(asked, "") | others)
+            rows.append(about | score(asked, "") | others)
             print(rows[-1], flush=True)
     table = pd.DataFrame(rows)
     best = _most_cautious(table, losses)
@@ -375,7 +375,7 @@ def _rivals(
     scores, rows, losses = [], [], []
     for one in tried:
         asking = replace(weights, **one)
-        scores.append(_score([(case, asking) for case in teaching], ""))
+        scores.append(score([(case, asking) for case in teaching], ""))
         losses.append(_losses(teaching, asking))
         others = _of_unseen(unseen, asking)
         name = "no" if one["rivals"] == RIVALS[0] else f"{one['rivals']:g}"
@@ -416,7 +416,7 @@ def _handicaps(
         there = [case for case, here in zip(cases, own, strict=True) if here]
         found = [case.chances(replace(weights, **best)) for case in there]
         right = [p[case.cause] for p, case in zip(found, there, strict=True)]
-        wrong = [named(p) not in ("", case.cause) for p, case in zip(found, there, strict=True)]
+        wrong = [_named(p) not in ("", case.cause) for p, case in zip(found, there, strict=True)]
         rows.append(
             {
                 "cause left out": kind,
@@ -439,7 +439,7 @@ def _losses(cases: Sequence[SessionCase], weights: SessionWeights) -> Array:
     return np.array([lapsed_loss(case.chances(weights)[case.cause]) for case in cases])
 
 
-def named(p: Mapping[str, float]) -> str:
+def _named(p: Mapping[str, float]) -> str:
     """The effect that is probable enough to be the answer, "" for none."""
     first = max(p, key=lambda name: p[name])
     return first if p[first] >= SessionSettings().named and first not in (NONE, UNKNOWN) else ""
@@ -458,11 +458,11 @@ def _most_cautious(table: pd.DataFrame, losses: Sequence[Array]) -> pd.Series:
     return table[same & np.array(near)].sort_values("law_spread").iloc[-1]
 
 
-def _score(asked: Sequence[tuple[SessionCase, SessionWeights]], suffix: str) -> dict[str, float]:
+def score(asked: Sequence[tuple[SessionCase, SessionWeights]], suffix: str) -> dict[str, float]:
     loss, right, wrong = 0.0, 0, 0
     for case, weights in asked:
         p = case.chances(weights)
-        name = named(p)
+        name = _named(p)
         loss += lapsed_loss(p[case.cause]) / len(asked)
         right += int(name == case.cause)
         wrong += int(name not in ("", case.cause))
@@ -471,7 +471,7 @@ def _score(asked: Sequence[tuple[SessionCase, SessionWeights]], suffix: str) -> 
 
 def _of_unseen(cases: Sequence[SessionCase], weights: SessionWeights) -> dict[str, float]:
     """The same of the engine that never teaches; nothing where it has no case."""
-    return _score([(case, weights) for case in cases], f", {NEVER_LEARNT_FROM}") if cases else {}
+    return score([(case, weights) for case in cases], f", {NEVER_LEARNT_FROM}") if cases else {}
 
 
 def _answers(cases: Sequence[SessionCase], without: SessionWeights, weights: SessionWeights) -> pd.DataFrame:

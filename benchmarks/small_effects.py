@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import pandas as pd
-from kept_evidence import by_engines, compared, kept_cases
+from kept_evidence import COLUMNS, by_engines, compared, kept_cases
 from session_weights import RESULTS
 
 from toile.atomic_file import write_text
@@ -62,9 +62,9 @@ def page(table: pd.DataFrame, nulls: pd.DataFrame, n: Mapping[str, int], weights
             "Made by `python benchmarks/small_effects.py` from all evidence of sessions with open labels "
             f"that is kept here, of several versions: {counted}. What speaks for an effect that moves the "
             "cloth by less than some 1 % of its width speaks for `none` as well, by `surest` e-folds at "
-            "most. Loss: sum of negative log probabilities of the causes; named: with 0.9 and more.",
+            "most. Loss: mean negative log probability of the cause; named: with 0.9 and more.",
             "",
-            table.to_markdown(index=False, floatfmt=".2f"),
+            table.to_markdown(index=False, floatfmt=COLUMNS),
             "",
             f"The package's is {weights.surest:g}: far beyond what errors of a law have shown. Below are "
             f"the {MOST} lines with most evidence of {len(nulls)}, of an effect that moves the cloth by "

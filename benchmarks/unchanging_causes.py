@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 import pandas as pd
-from kept_evidence import by_engines, compared, kept_cases
+from kept_evidence import COLUMNS, by_engines, compared, kept_cases
 from session_weights import RESULTS
 
 from toile.atomic_file import write_text
@@ -96,15 +96,15 @@ def page(today: Sequence[SessionCase], others: Sequence[SessionCase], weights: S
             "",
             "## Answers by share",
             "",
-            "Loss: sum of negative log probabilities of the causes; named: with 0.9 and more.",
+            "Loss: mean negative log probability of the cause; named: with 0.9 and more.",
             "",
             "### By a base model as fine as today's",
             "",
-            compared(by_engines(today), "share", values).to_markdown(index=False, floatfmt=".2f"),
+            compared(by_engines(today), "share", values).to_markdown(index=False, floatfmt=COLUMNS),
             "",
             "### By a coarser grid, before",
             "",
-            compared(by_engines(others), "share", values).to_markdown(index=False, floatfmt=".2f"),
+            compared(by_engines(others), "share", values).to_markdown(index=False, floatfmt=COLUMNS),
             "",
             f"The package's is {weights.outside_unchanging:g}: the least loss on the cases of own and "
             "Blender by today's grid.",

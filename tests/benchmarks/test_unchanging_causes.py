@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -25,6 +26,10 @@ def test_what_is_asked_is_more_than_idle_causes_have(monkeypatch: pytest.MonkeyP
     for name in UNCHANGING:
         assert most[name] < weights.asked_of_outside(name)
         assert most[name] < most["gusts"]
+    teaching = {"teaching": program.by_engines(every)["own and Blender"]}
+    asked = {share: replace(weights, outside_unchanging=share) for share in program.SHARES}
+    table = program.compared(teaching, "share", asked)
+    assert table["share"][table["loss, teaching"].idxmin()] == weights.outside_unchanging
     changed = program.changed(every, program.even(weights), weights)
     # No case loses its cause, and no null gets a name.
     assert (changed["the cause, now"] > changed["the cause, before"]).all()
