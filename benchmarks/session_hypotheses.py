@@ -16,7 +16,13 @@ from toile.diagnosis.outside_causes import OutsideCauses, outside_causes
 from toile.diagnosis.session_diagnosis import learned_chances, stand_in_sizes
 from toile.diagnosis.session_evidence import promising
 from toile.diagnosis.session_settings import SessionSettings
-from toile.diagnosis.session_stages import RefinedMotion, SeenClip, SessionModel, with_error_found
+from toile.diagnosis.session_stages import (
+    RefinedMotion,
+    SeenClip,
+    SessionModel,
+    with_error_found,
+    with_uneven_errors,
+)
 from toile.diagnosis.session_weights import MotionEvidence, SessionWeights, chances
 from toile.effects.base import Effect
 from toile.effects.catalogue import PUSHING, STAND_INS
@@ -80,6 +86,7 @@ def hypotheses(
     clips, stiffness = session.clips if seen is None else seen, session.stiffness
     if motion.error is None:
         motion = with_error_found(clips, motion, settings, stiffness)
+    even, motion = motion, with_uneven_errors(clips, motion, settings, stiffness)
     model = SessionModel(clips, motion, settings, stiffness)
     fitting = model.fitting
     plain = fitting.fitted((), fitting.start_fit())
@@ -99,7 +106,7 @@ def hypotheses(
     chosen += [e for e in moving if e.NAME in also and e not in chosen and e.NAME not in base.names]
     outside = OutsideCauses({})
     if free:
-        outside = outside_causes(clips, motion, settings, stiffness, moving, own=model.own)
+        outside = outside_causes(clips, even, settings, stiffness, moving, own=model.own)
     against = {effect.NAME: plain if effect.NAME in base.names else base for effect in moving}
     linear = {name: fits[name].evidence(one) for name, one in against.items()}
     evidence: dict[str, EffectEvidence] = {}

@@ -14,37 +14,59 @@ Single = NDArray[np.float32]
 
 
 class SoftenedInformation:
-    """(I⁻¹ + σ² 1)⁻¹ of an information I, by the Cholesky factor of 1 + σ² I.
+    """(I⁻¹ + σ² R²)⁻¹ of an information I and a diagonal R, by the Cholesky factor of 1 + σ² R I R.
 
-    It is (1 - (1 + σ² I)⁻¹) / σ², which needs no I⁻¹: that is not there where points are hidden. The factor
-    takes a third of the time that the matrix itself would, and a product as long as one with that.
+    It is R⁻¹ (1 - (1 + σ² R I R)⁻¹) R⁻¹ / σ², which needs no I⁻¹: that is not there where points are hidden.
+    The factor takes a third of the time that the matrix itself would, and a product as long as one with that.
 
     Args:
-        factor: lower, of 1 + σ² I, in Fortran's order (n, n); what is above its diagonal is not read.
+        factor: lower, of 1 + σ² R I R, in Fortran's order (n, n); what is above its diagonal is not read.
         variance: σ² [m²].
+        relative: the diagonal of R (n,); None for 1.
     """
 
-    def __init__(self, factor: Single, variance: float) -> None:
-        self.factor, self.variance = factor, np.float32(variance)
+    def __init__(self, factor: Single, variance: float, relative: Single | None = None) -> None:
+        self.factor, self.variance, self.relative = factor, np.float32(variance), relative
         # Processes that share work have it once.
         factor.flags.writeable = False
 
     def __matmul__(self, right: NDArray[np.floating]) -> Single:
         """Product with (n,) or (n, R), in single precision."""
-        single = np.asarray(right, np.float32)
+        single = self._over_relative(np.asarray(right, np.float32))
         if single.ndim == 1:
             half = blas.strsv(self.factor, single, lower=1)
             kept = blas.strsv(self.factor, half, lower=1, trans=1)
         else:
             kept, _ = lapack.spotrs(self.factor, single, lower=1)
-        return np.asarray((single - kept) / self.variance, np.float32)
+        return self._over_relative(np.asarray((single - kept) / self.variance, np.float32))
 
     def toarray(self) -> Single:
         """The matrix itself (n, n) [1/m²]."""
+        inverse = self._inverse()
+        kept = np.tril(inverse) + np.tril(inverse, -1).T
+        matrix = (np.eye(len(kept)) - kept) / float(self.variance)
+        return self._over_relative(self._over_relative(np.asarray(matrix, np.float32)).T)
+
+    def variances(self) -> Array:
+        """The diagonal of σ² R² (n,) [m²]."""
+        relative = np.ones(len(self.factor)) if self.relative is None else self.relative.astype(np.float64)
+        return float(self.variance) * relative**2
+
+    def known(self) -> Array:
+        """Of every coordinate, the share of its variance that the information resolves (n,), 0 to 1."""
+        return 1 - np.diag(self._inverse())
+
+    def _inverse(self) -> Array:
+        """Of the matrix that is factored; its lower triangle."""
         inverse, wrong = lapack.dpotri(self.factor.astype(np.float64), lower=1)
         assert not wrong
-        kept = np.tril(inverse) + np.tril(inverse, -1).T
-        return np.asarray((np.eye(len(kept)) - kept) / float(self.variance), np.float32)
+        return inverse
+
+    def _over_relative(self, single: Single) -> Single:
+        """R⁻¹ times (n,) or (n, R)."""
+        if self.relative is None:
+            return single
+        return single / (self.relative if single.ndim == 1 else self.relative[:, None])
 
 
 Information: TypeAlias = Single | sparse.csr_matrix | SoftenedInformation

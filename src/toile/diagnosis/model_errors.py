@@ -54,7 +54,11 @@ class ModelErrors:
 
 
 def model_errors(
-    shooting: Shooting, windows: list[WindowMotion], width: float, error: ModelError
+    shooting: Shooting,
+    windows: list[WindowMotion],
+    width: float,
+    error: ModelError,
+    uneven: Array | None = None,
 ) -> ModelErrors:
     """Of the windows of one clip.
 
@@ -63,22 +67,42 @@ def model_errors(
         windows: simulated, one after the other.
         width: of the cloth [m].
         error: as it is thought to be.
+        uneven: see softened.
     """
     n = max(1, round(error.modes**0.5))
     modes = cosine_modes(shooting.simulator.cloth.lines, n)
     fields = (modes[:, None, :, None] * np.eye(3)[None, :, None, :]).reshape(3 * len(modes), -1)
-    step = shooting.substeps
-    frames = np.concatenate([windows[0].positions[:1], *(w.positions[step::step] for w in windows)])
+    frames = simulated_frames(shooting, windows)
+    covariance = _covariance(shooting, modes, uneven)
     variance = (error.share * width) ** 2 / error.modes
     cost = expected = 0.0
     for f, x in enumerate(frames):
         information = shooting.tracked.information[f]
         known = shooting.weight * np.asarray(fields @ (information @ fields.T), np.float64)
         slope = shooting.weight * (fields @ shooting.tracked.slope(f, x))
-        expected += 0.5 * variance * float(np.trace(known))
+        expected += 0.5 * variance * float((known * covariance).sum())
         ridge = _RIDGE * float(np.trace(known)) / len(known) + 1e-12
         cost += 0.5 * float(slope @ cho_solve(cho_factor(known + ridge * np.eye(len(known))), slope))
     return ModelErrors(cost, expected, error.share)
+
+
+def _covariance(shooting: Shooting, modes: Array, uneven: Array | None) -> Array:
+    """Of the smooth errors' coefficients along all axes, those of even errors being 1."""
+    if uneven is None:
+        return np.eye(3 * len(modes))
+    return np.asarray(np.kron((modes * (uneven * mass_shares(shooting))) @ modes.T, np.eye(3)))
+
+
+def simulated_frames(shooting: Shooting, windows: list[WindowMotion]) -> Array:
+    """Positions (F, N, 3) [m] of the frames of windows, one after the other."""
+    step = shooting.substeps
+    return np.concatenate([windows[0].positions[:1], *(w.positions[step::step] for w in windows)])
+
+
+def mass_shares(shooting: Shooting) -> Array:
+    """Share of the cloth that every vertex stands for (N,)."""
+    masses = shooting.simulator.cloth.masses.numpy().astype(np.float64)
+    return np.asarray(masses / masses.sum())
 
 
 def with_share(error: ModelError, share: float | None) -> ModelError:

@@ -75,6 +75,7 @@ from toile.diagnosis.session_stages import (
     SeenClip,
     SessionModel,
     seen_clips,
+    uneven_stage,
 )
 from toile.diagnosis.session_weights import EVIDENCE_FILE, SessionWeights
 from toile.diagnosis.settings import DiagnosisSettings
@@ -237,6 +238,11 @@ def diagnose_session(
     if not resized:
         # Holders go with a cloth that seems to change its size.
         remarkable += _said(moved_holders(session, clips, holders.positions))
+    # Beside free forces errors are alike everywhere: those take up what the law is wrong by in one place.
+    even = motion
+    motion = pipeline.run(
+        uneven_stage(clips, together, settings.stiffness, 0.495, made_from, workers), motion
+    )
     model = SessionModel(clips, motion, together, settings.stiffness)
     stages = HypothesisStages(model, progress, made_from, workers)
     plain = pipeline.run(stages.plain(0.5), motion)
@@ -254,7 +260,7 @@ def diagnose_session(
         outside_stage(
             clips, together, settings.stiffness, [*moving, *stand_ins], 0.55, made_from, workers, model.own
         ),
-        motion,
+        even,
     )
     progress("what every effect would change", 0.62)
     # What acts in the base model is among what is linearised, candidate or not.

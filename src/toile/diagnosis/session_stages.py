@@ -32,6 +32,7 @@ from toile.diagnosis.session_settings import SessionSettings
 from toile.diagnosis.softened import softened
 from toile.diagnosis.stages import DiagnosisStages
 from toile.diagnosis.touched_obstacles import TouchedObstacles, touching
+from toile.diagnosis.uneven_errors import uneven_errors
 from toile.effects.base import Effect
 from toile.effects.catalogue import CATALOGUE
 from toile.effects.contact import Contact
@@ -128,6 +129,8 @@ class RefinedMotion:
         unknowns: of every window of every clip (n_local,), in units of their deviations from positions and
             velocities, where fits without forces of their own begin; None: none. A last window may be shorter
             and have fewer.
+        uneven: of every clip, the variance of the base model's errors at every vertex of its grid over
+            the mean (N,), see uneven_errors; None: alike everywhere.
     """
 
     positions: list[Array]
@@ -135,6 +138,7 @@ class RefinedMotion:
     error: float | None = None
     velocities: list[Array] | None = None
     unknowns: list[list[Array]] | None = None
+    uneven: list[Array] | None = None
 
 
 class SessionModel:
@@ -161,6 +165,7 @@ class SessionModel:
     ) -> None:
         settings = replace(settings, model_error=with_share(settings.model_error, motion.error))
         self.clips, self.settings, self._stiffness = list(clips), settings, stiffness
+        self._uneven: Sequence[Array | None] = motion.uneven or [None] * len(clips)
         self.grids = [_grid(clip, settings) for clip in clips]
         start = start_material(self.grids[0], stiffness)
         at = len(start)
@@ -187,9 +192,23 @@ class SessionModel:
     def errors(self, fit: JointFit) -> ModelErrors:
         """Smooth errors of a fit in all clips."""
         return ModelErrors.of_all(
-            model_errors(clip.shooting, windows, self.width, self.settings.model_error)
-            for clip, windows in zip(self.fitting.clips, fit.windows, strict=True)
+            model_errors(clip.shooting, windows, self.width, self.settings.model_error, uneven)
+            for clip, windows, uneven in zip(self.fitting.clips, fit.windows, self._uneven, strict=True)
         )
+
+    def uneven_errors(self, fit: JointFit) -> list[Array]:
+        """How uneven the errors of a fit are in every clip, see RefinedMotion."""
+        return [
+            uneven_errors(
+                clip.shooting,
+                windows,
+                self.settings.model_error.lasting(seen.problem.scene.fps),
+                uneven,
+            )
+            for seen, clip, windows, uneven in zip(
+                self.clips, self.fitting.clips, fit.windows, self._uneven, strict=True
+            )
+        ]
 
     def looks_for_obstacles(self, effects: Sequence[Effect]) -> bool:
         """Whether it is asked for what the cloth may touch, and nobody knows it.
@@ -240,7 +259,8 @@ class SessionModel:
         there = np.concatenate([np.zeros(0, np.intp), *layout.coefficients(last)])
         begin = alone.fitting.started(effects, fit.coefficients[there], workers)
         found = alone.refined(alone.fitting.fitted(effects, begin, workers, spread=False))
-        found = replace(found, error=motion.error)
+        uneven = self._uneven[last]
+        found = replace(found, error=motion.error, uneven=None if uneven is None else [uneven])
         return SessionModel(seen, found, self.settings, self._stiffness, own).fitting.clips[0]
 
     def refined(self, fit: JointFit, details: RefinedMotion | None = None) -> RefinedMotion:
@@ -405,9 +425,42 @@ def with_error_found(
         stiffness: where fits begin.
         workers: share the windows of a clip.
     """
+    return _with_errors_found(clips, motion, settings, stiffness, workers, settings.error_rounds)
+
+
+def with_uneven_errors(
+    clips: Sequence[SeenClip],
+    motion: RefinedMotion,
+    settings: SessionSettings,
+    stiffness: tuple[float, float, float],
+    workers: Workers = ALONE,
+) -> RefinedMotion:
+    """The motion with where the base model is wrong on it by how much, and the material that goes with it.
+
+    Args:
+        clips: tracked.
+        motion: with the size of errors that are alike everywhere.
+        settings: see SessionSettings; with no ``uneven_rounds`` they stay alike.
+        stiffness: where fits begin.
+        workers: share the windows of a clip.
+    """
+    rounds = settings.uneven_rounds
+    return _with_errors_found(clips, motion, settings, stiffness, workers, rounds, uneven=True)
+
+
+def _with_errors_found(
+    clips: Sequence[SeenClip],
+    motion: RefinedMotion,
+    settings: SessionSettings,
+    stiffness: tuple[float, float, float],
+    workers: Workers,
+    rounds: int,
+    *,
+    uneven: bool = False,
+) -> RefinedMotion:
     base: JointFit | None = None
     rough = replace(settings, fit=_rough(settings.fit))
-    for rounds_left in range(settings.error_rounds - 1, -1, -1):
+    for rounds_left in range(rounds - 1, -1, -1):
         # Another size of the errors moves the fit by more than what its last passes gain.
         model = SessionModel(clips, motion, rough if rounds_left else settings, stiffness)
         fitting = model.fitting
@@ -416,8 +469,43 @@ def with_error_found(
         found = model.errors(base).found
         # The windows refer to the same motion as before, so what they differ by is kept, and not their speed.
         unknowns = [[window.standardised for window in windows] for windows in base.windows]
+        if uneven:
+            motion = replace(motion, uneven=model.uneven_errors(base))
         motion = replace(motion, error=found, values=base.values, unknowns=unknowns)
     return motion
+
+
+def uneven_stage(
+    clips: Sequence[SeenClip],
+    settings: SessionSettings,
+    stiffness: tuple[float, float, float],
+    share: float,
+    made_from: Mapping[str, str],
+    workers: Workers = ALONE,
+) -> PipelineStage[RefinedMotion, RefinedMotion]:
+    """See with_uneven_errors; made from the refined motion.
+
+    Args:
+        clips: tracked.
+        settings: see SessionSettings.
+        stiffness: where fits begin.
+        share: of all work that is done when it begins.
+        made_from: fingerprints of what it depends on.
+        workers: share the windows of a clip.
+    """
+
+    def compute(motion: RefinedMotion) -> RefinedMotion:
+        return with_uneven_errors(clips, motion, settings, stiffness, workers)
+
+    return PipelineStage(
+        "uneven errors",
+        "uneven.npz",
+        "where the base model is wrong",
+        share,
+        RefinedMotion,
+        compute,
+        dict(made_from),
+    )
 
 
 def _grid(clip: SeenClip, settings: SessionSettings) -> ModelGrid:
@@ -458,7 +546,8 @@ def _joint(
     if clip.stays and s.held < s.boundary:
         positions = _held(problem.scene, positions)
     tracked = problem.images_around(positions, grid)
-    tracked = softened(tracked, grid.cloth_size[0], fps, s.likelihood_weight, s.model_error)
+    uneven = None if motion.uneven is None else motion.uneven[k]
+    tracked = softened(tracked, grid.cloth_size[0], fps, s.likelihood_weight, s.model_error, uneven)
     window, jumps = s.windows_at(fps)
     own = replace(
         of_clip,
