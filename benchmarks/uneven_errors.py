@@ -101,8 +101,8 @@ def page(table: pd.DataFrame) -> str:
     ]
     if len(nulls):
         summary.append(
-            f"Of {len(nulls)} nulls the best effect has {nulls['alike'].max():.0f} and "
-            f"{nulls['uneven'].max():.0f} at most."
+            f"Where nothing acts ({len(nulls)}) the best effect has {nulls['alike'].max():.0f} and "
+            f"{nulls['uneven'].max():.0f} nats at most."
         )
     summary.append(
         f"The right answer has {right['alike']:.2f} and {right['uneven']:.2f} in the mean, by weights that "
