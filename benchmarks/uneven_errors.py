@@ -6,7 +6,8 @@
         # of one core each
 
 Every clip is diagnosed twice on the same refined motion: with errors of the base model that are thought alike
-everywhere, and with those that are found place by place (diagnosis/uneven_errors.py), which a session has.
+everywhere, as a session has them, and with those that are found place by place
+(diagnosis/uneven_errors.py; session_model.uneven_rounds=4).
 Causes from outside are judged once, beside free forces, where errors are alike. What is found is kept in
 outputs/uneven_errors, so that it goes on where it was. Answers are by the package's weights.
 """
@@ -31,7 +32,8 @@ from toile.reports.run_folder import current_git_revision
 
 FOLDER = Path("outputs") / "uneven_errors"
 TABLE = Path("docs") / "results" / "uneven_errors.csv"
-ERRORS = ("uneven", "alike")
+ERRORS = {"uneven": 4, "alike": 0}
+"""Values of ``session_model.uneven_rounds``."""
 _KEPT = ("session", "errors")
 
 
@@ -42,10 +44,10 @@ def lines(folder: Path) -> list[dict[str, object]]:
     held = session.held()
     away = off_by(folder, held.clips, held.motion)[0].mean()
     cause = cause_of(folder.name)
-    alike = replace(session.together, uneven_rounds=0)
+    together = {errors: replace(session.together, uneven_rounds=n) for errors, n in ERRORS.items()}
     both = {
-        "uneven": hypotheses(session, held.motion, session.together, (cause,), seen=held.clips),
-        "alike": hypotheses(session, held.motion, alike, (cause,), free=False, seen=held.clips),
+        "uneven": hypotheses(session, held.motion, together["uneven"], (cause,), seen=held.clips),
+        "alike": hypotheses(session, held.motion, together["alike"], (cause,), free=False, seen=held.clips),
     }
     outside = both["uneven"].evidence.outside
     rows: list[dict[str, object]] = []

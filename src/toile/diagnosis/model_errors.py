@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
+from toile.diagnosis.joint_fit import frame_positions
 from toile.diagnosis.shooting import Shooting, WindowMotion, cosine_modes
 from toile.diagnosis.softened import ModelError
 
@@ -72,7 +73,7 @@ def model_errors(
     n = max(1, round(error.modes**0.5))
     modes = cosine_modes(shooting.simulator.cloth.lines, n)
     fields = (modes[:, None, :, None] * np.eye(3)[None, :, None, :]).reshape(3 * len(modes), -1)
-    frames = simulated_frames(shooting, windows)
+    frames = frame_positions(shooting, windows)
     covariance = _covariance(shooting, modes, uneven)
     variance = (error.share * width) ** 2 / error.modes
     cost = expected = 0.0
@@ -91,12 +92,6 @@ def _covariance(shooting: Shooting, modes: Array, uneven: Array | None) -> Array
     if uneven is None:
         return np.eye(3 * len(modes))
     return np.asarray(np.kron((modes * (uneven * mass_shares(shooting))) @ modes.T, np.eye(3)))
-
-
-def simulated_frames(shooting: Shooting, windows: list[WindowMotion]) -> Array:
-    """Positions (F, N, 3) [m] of the frames of windows, one after the other."""
-    step = shooting.substeps
-    return np.concatenate([windows[0].positions[:1], *(w.positions[step::step] for w in windows)])
 
 
 def mass_shares(shooting: Shooting) -> Array:

@@ -240,9 +240,9 @@ def diagnose_session(
         remarkable += _said(moved_holders(session, clips, holders.positions))
     # Beside free forces errors are alike everywhere: those take up what the law is wrong by in one place.
     even = motion
-    motion = pipeline.run(
-        uneven_stage(clips, together, settings.stiffness, 0.495, made_from, workers), motion
-    )
+    if together.uneven_rounds:
+        uneven = uneven_stage(clips, together, settings.stiffness, 0.495, made_from, workers)
+        motion = pipeline.run(uneven, motion)
     model = SessionModel(clips, motion, together, settings.stiffness)
     stages = HypothesisStages(model, progress, made_from, workers)
     plain = pipeline.run(stages.plain(0.5), motion)

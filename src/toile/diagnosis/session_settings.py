@@ -113,7 +113,7 @@ class SessionSettings:
         model_error: see ModelError; its share is where the search for it begins.
         error_rounds: fits of the base model in which that share is found; 0 leaves it as it is.
         uneven_rounds: further fits in which it is found where the base model is wrong by more and where by
-            less; 0: alike everywhere.
+            less; 0: alike everywhere, as where weights were learnt.
         slip: what pinned vertices do without slipping, in the motion that the base model has refined, and
             how slips look.
         occlusion: how the print of the cloth is looked for, to see what passes before it.
@@ -153,7 +153,7 @@ class SessionSettings:
     refining: RefiningSettings = field(default_factory=RefiningSettings)
     model_error: ModelError = field(default_factory=ModelError)
     error_rounds: CountOrZero = 3
-    uneven_rounds: CountOrZero = 4
+    uneven_rounds: CountOrZero = 0
     slip: SlipSettings = field(default_factory=RefinedSlipSettings)
     occlusion: OcclusionSettings = field(default_factory=OcclusionSettings)
     touched: TouchedSettings | None = field(default_factory=TouchedSettings)

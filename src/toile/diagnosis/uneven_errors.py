@@ -2,7 +2,7 @@
 
 A limp border that curls, or a fold finer than the grid, is where the base model is wrong by ten times what it
 is wrong by elsewhere. With errors thought alike everywhere, whatever bends that one place towards the images
-gains hundreds of nats there, and what the rest of the cloth says of an effect counts for too little.
+gains there, and what the rest of the cloth says of an effect counts for too little.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toile.diagnosis.image_information import SoftenedInformation
-from toile.diagnosis.model_errors import mass_shares, simulated_frames
+from toile.diagnosis.joint_fit import frame_positions
+from toile.diagnosis.model_errors import mass_shares
 from toile.diagnosis.shooting import Shooting, WindowMotion
 
 Array = NDArray[np.float64]
@@ -39,7 +40,7 @@ def uneven_errors(
         lasting: frames over which errors last; those between say the same and are left out.
         before: as they are thought to be in ``shooting``; None: alike everywhere.
     """
-    frames = simulated_frames(shooting, list(windows))
+    frames = frame_positions(shooting, windows)
     n = frames.shape[1]
     found, expected = np.zeros(n), np.zeros(n)
     for f in range(0, len(frames), max(1, round(lasting))):
