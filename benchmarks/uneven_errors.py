@@ -9,7 +9,8 @@ Every clip is diagnosed twice on the same refined motion: with errors of the bas
 everywhere, as a session has them, and with those that are found place by place
 (diagnosis/uneven_errors.py; session_model.uneven_rounds=4).
 Causes from outside are judged once, beside free forces, where errors are alike. What is found is kept in
-outputs/uneven_errors, so that it goes on where it was. Answers are by the package's weights.
+outputs/uneven_errors, so that it goes on where it was, the evidence of either kind in a folder of its own, as
+benchmarks/session_weights.py --graded takes it. Answers are by the package's weights.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from session_ladder import answer_columns, cause_of, off_by
 
 from toile.denormals import denormals_flushed
 from toile.diagnosis.decision import NONE
-from toile.diagnosis.session_weights import SessionWeights, chances
+from toile.diagnosis.session_weights import EVIDENCE_FILE, SessionWeights, chances
 from toile.effects.catalogue import STAND_INS
 from toile.reports.run_folder import current_git_revision
 
@@ -52,7 +53,11 @@ def lines(folder: Path) -> list[dict[str, object]]:
     outside = both["uneven"].evidence.outside
     rows: list[dict[str, object]] = []
     for errors, found in both.items():
-        said = chances(replace(found.evidence, outside=outside), SessionWeights.load().of_clips(1))
+        evidence = replace(found.evidence, outside=outside)
+        kept = FOLDER / errors / folder.name
+        kept.mkdir(parents=True, exist_ok=True)
+        evidence.write(kept / EVIDENCE_FILE)
+        said = chances(evidence, SessionWeights.load().of_clips(1))
         rows.append(
             {
                 "session": folder.name,

@@ -239,12 +239,17 @@ def window_systems(
     systems: list[WindowSystem] = []
     end: Array | None = None
 
-    def normal(k: int) -> tuple[Array, Array, Array, NDArray[np.float32] | None]:
-        steps: list[NDArray[np.float32]] | None = [] if motion else None
-        found = shooting.normal(windows[k], base, shared[k], seen, n_shared, simulator, steps)
-        return (*found, None if steps is None else np.stack(steps))
+    def of_some(places: range) -> list[tuple[Array, Array, Array, NDArray[np.float32] | None]]:
+        found = []
+        known = shooting.known([windows[k] for k in places], base, simulator)
+        for k, around in zip(places, known, strict=True):
+            steps: list[NDArray[np.float32]] | None = [] if motion else None
+            system = shooting.normal(windows[k], around, shared[k], seen, n_shared, steps)
+            found.append((*system, None if steps is None else np.stack(steps)))
+        return found
 
-    for k, (G, g, next_end, changes) in enumerate(workers.map(normal, range(len(windows)))):
+    of_windows = chain.from_iterable(workers.map(of_some, _pieces(len(windows))))
+    for k, (G, g, next_end, changes) in enumerate(of_windows):
         window, link = windows[k], None
         if end is not None:
             link = Link(shooting.jump(windows[k - 1], window), shooting.jump_ratio(), end)
@@ -320,9 +325,12 @@ def simulated_windows(
         some = slice(places.start, places.stop)
         return shooting.simulate_all(windows[some], standardised[some], base, given)
 
-    starts = range(0, len(windows), _SIDE_BY_SIDE)
-    pieces = [range(k, min(k + _SIDE_BY_SIDE, len(windows))) for k in starts]
-    return list(chain.from_iterable(workers.map(of_some, pieces)))
+    return list(chain.from_iterable(workers.map(of_some, _pieces(len(windows)))))
+
+
+def _pieces(n: int) -> list[range]:
+    """Windows that are taken side by side, whoever shares them."""
+    return [range(k, min(k + _SIDE_BY_SIDE, n)) for k in range(0, n, _SIDE_BY_SIDE)]
 
 
 def _at_rest(shooting: Shooting, positions: Array) -> State:
@@ -369,7 +377,8 @@ def _sweep(
         information = np.zeros_like(prior)
         for _ in range(s.iterations):
             base = base_of(material, values)
-            G, g, _ = shooting.normal(window, base, base_sensitivities(shooting, base), nothing_seen, nb)
+            (known,) = shooting.known([window], base)
+            G, g, _ = shooting.normal(window, known, base_sensitivities(shooting, base), nothing_seen, nb)
             L = np.concatenate((np.ones(nb), scales))
             H = L[:, None] * G * L
             right = -L * g

@@ -40,6 +40,13 @@ class SoftenedInformation:
             kept, _ = lapack.spotrs(self.factor, single, lower=1)
         return self._over_relative(np.asarray((single - kept) / self.variance, np.float32))
 
+    def quadratic(self, motion: Single) -> Single:
+        """motionᵀ self motion (R, R) for motions (n, R): half of what the product would take."""
+        changed = self._over_relative(motion)
+        # (F⁻¹ changed)ᵀ, of the transpose, so that neither is copied into another order.
+        kept = blas.strsm(1.0, self.factor, changed.T, side=1, lower=1, trans_a=1)
+        return np.asarray((changed.T @ changed - kept @ kept.T) / self.variance)
+
     def toarray(self) -> Single:
         """The matrix itself (n, n) [1/m²]."""
         inverse = self._inverse()
@@ -71,6 +78,13 @@ class SoftenedInformation:
 
 Information: TypeAlias = Single | sparse.csr_matrix | SoftenedInformation
 """Of one frame (3N, 3N) [1/m²]: dense, sparse on the scene's own grid, or softened."""
+
+
+def quadratic(information: Information, motion: Single) -> Single:
+    """motionᵀ information motion (R, R) for motions (n, R)."""
+    if isinstance(information, SoftenedInformation):
+        return information.quadratic(motion)
+    return np.asarray(motion.T @ (information @ motion))
 
 
 def as_array(information: Information) -> Single:

@@ -7,8 +7,9 @@ dense blocks: five hundred unknowns cost about as much as the fit of one.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Annotated
 
 import numpy as np
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.linalg import lapack
 
-from toile.diagnosis.past_forces import PastForces
+from toile.diagnosis.past_forces import PastForces, PastOfStep
 from toile.limits import Fraction
 from toile.physics.implicit.linear_solvers.banded import BandedCholesky, BandedSolver
 from toile.physics.implicit.newton import potential_hessian
@@ -87,34 +88,19 @@ class BlockFactor:
     """Band Cholesky factor as dense blocks, for many right-hand sides: matrix products only."""
 
     def __init__(self, factor: BandedCholesky) -> None:
-        band = factor.band
-        n, width = band.shape
-        size = width - 1
-        blocks = -(-n // size)
-        padded = np.zeros((blocks * size, width))
-        padded[:n] = band
-        padded[n:, 0] = 1.0
-        # L[r, c] = band[c, r - c]
-        column, offset = np.meshgrid(np.arange(size), np.arange(size), indexing="ij")
-        self.n, self.size = n, size
+        n, width = factor.band.shape
+        self.n, self.size = n, width - 1
+        places = _block_places(n, width)
+        # One beyond is 0, and the one after that is 1, on the diagonal of rows that fill the last block.
+        band = np.concatenate((factor.band.reshape(-1), (0.0, 1.0)))
+        self._below: list[Single] = list(band[places.below].astype(np.float32))
         self._inverse: list[Single] = []
-        self._below: list[Single] = []
-        for b in range(blocks):
-            rows = padded[b * size : (b + 1) * size]
-            diagonal = np.zeros((size, size))
-            below = np.zeros((size, size))
-            inside = column + offset < size
-            diagonal[(column + offset)[inside], column[inside]] = rows[:, :size][inside]
-            past = np.arange(width)[None, :] + np.arange(size)[:, None]
-            under = (past >= size) & (past < 2 * size)
-            below[(past - size)[under], np.broadcast_to(np.arange(size)[:, None], past.shape)[under]] = rows[
-                under
-            ]
-            inverse, info = lapack.dtrtri(diagonal, lower=1)
+        for diagonal in band[places.diagonal]:
+            # In LAPACK's order it is its transpose.
+            inverse, info = lapack.dtrtri(diagonal.T, lower=1)
             if info != 0:
                 raise FloatingPointError("a factor of the Hessian is singular")
             self._inverse.append(inverse.astype(np.float32))
-            self._below.append(below.astype(np.float32))
 
     def solve(self, right: Single) -> Single:
         """Solve for right-hand sides (n, R)."""
@@ -133,6 +119,46 @@ class BlockFactor:
                 r = r - self._below[b].T @ parts[b + 1]
             parts[b] = self._inverse[b].T @ r
         return np.concatenate(parts)[: self.n]
+
+
+@dataclass(frozen=True)
+class _BlockPlaces:
+    """Where the entries of dense blocks stand in a band, those beyond it at its end.
+
+    Attributes:
+        diagonal: of the lower triangular blocks, transposed (blocks, size, size).
+        below: of those below them, but for the last (blocks - 1, size, size).
+    """
+
+    diagonal: NDArray[np.intp]
+    below: NDArray[np.intp]
+
+
+@lru_cache(maxsize=8)
+def _block_places(n: int, width: int) -> _BlockPlaces:
+    """For a band (n, width): row k holds column k of the factor from its diagonal down."""
+    size = width - 1
+    blocks = -(-n // size)
+    block, row, column = np.ogrid[:blocks, :size, :size]
+    row, column = block * size + row, block * size + column
+
+    def of(below: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Of the entries so many rows below the diagonal, in these columns."""
+        inside = (below >= 0) & (below < width) & (column + below < n)
+        return np.where(inside, column * width + below, n * width)
+
+    diagonal = of(row - column)
+    diagonal[(row == column) & (row >= n)] = n * width + 1
+    return _BlockPlaces(diagonal.transpose(0, 2, 1).copy(), of(row + size - column)[:-1])
+
+
+@lru_cache(maxsize=4)
+def _of_all_steps(simulator: LinearizableSimulator) -> tuple[BandedSolver, PastForces | None]:
+    """What is the same in all motions by a simulator."""
+    # The dense blocks that many right-hand sides are solved with are made of a band.
+    solver = BandedSolver(simulator.assembly.pattern, simulator.assembly.pinned)
+    terms, cloth = simulator.terms, simulator.cloth
+    return solver, PastForces(terms, cloth) if terms and cloth.grid is not None else None
 
 
 class KnownMotion:
@@ -178,9 +204,8 @@ class KnownMotion:
         self._before = steps
         terms, grid = simulator.terms, simulator.cloth.grid
         self._scene = SceneTerms()
-        # The dense blocks that many right-hand sides are solved with are made of a band.
-        self._solver = BandedSolver(simulator.assembly.pattern, simulator.assembly.pinned)
-        self._past_forces = PastForces(terms, simulator.cloth) if terms and grid is not None else None
+        self._solver, self._past_forces = _of_all_steps(simulator)
+        self._of_past: list[PastOfStep] = []
         if terms and grid is None:
             raise ValueError("tangents with step terms: expected a cloth on a grid")
 
@@ -282,7 +307,7 @@ class KnownMotion:
             b += mass * predicted
             past = self._past_forces
             if past is not None and past.remember:
-                b += past.change(self.context(n), step.positions, history[0][:, :m], speed[:, :m])
+                b += self._past(n).change(history[0][:, :m], speed[:, :m])
             boundary = right.boundary.reshape(m, -1).astype(np.float32)
             b -= coupling.T.astype(np.float32) @ boundary.T
             b *= free
@@ -302,6 +327,11 @@ class KnownMotion:
             if ends:
                 yield x, speed
 
+    def _past(self, n: int) -> PastOfStep:
+        if not self._of_past:
+            remember([self])
+        return self._of_past[n]
+
     def _factor(self, x: Array, inertia: Array) -> tuple[BlockFactor, Array]:
         assembly = self.simulator.assembly
         extra = self._scene.vertices
@@ -320,3 +350,20 @@ class KnownMotion:
         if factor is None:
             raise FloatingPointError("the Hessian is not positive definite without its indefinite parts")
         return BlockFactor(factor.cholesky), assembly.coupling(exact)
+
+
+def remember(motions: Sequence[KnownMotion]) -> None:
+    """Find how the forces of all steps of motions hang on what was before, side by side.
+
+    Args:
+        motions: by one simulator, of one material.
+    """
+    forces = motions[0]._past_forces if motions else None
+    if forces is None:
+        return
+    steps = [
+        (motion.context(n), motion.positions[n + 1]) for motion in motions for n in range(motion.n_steps)
+    ]
+    found = iter(forces.of_steps(steps))
+    for motion in motions:
+        motion._of_past = [next(found) for _ in range(motion.n_steps)]

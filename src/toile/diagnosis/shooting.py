@@ -21,7 +21,14 @@ from toile.denormals import denormals_flushed
 from toile.diagnosis.continuity import Discrepancy
 from toile.diagnosis.damping import Damping
 from toile.diagnosis.force_modes import TOLERANCE, external_first, n_balanced
-from toile.diagnosis.sensitivities import KnownMotion, LoadSensitivities, StepForces, TangentSettings
+from toile.diagnosis.image_information import quadratic
+from toile.diagnosis.sensitivities import (
+    KnownMotion,
+    LoadSensitivities,
+    StepForces,
+    TangentSettings,
+    remember,
+)
 from toile.diagnosis.template_tension import RIDGE, TemplateTension
 from toile.diagnosis.tracked import Tracked
 from toile.effects.base import Effect, Surroundings
@@ -545,15 +552,43 @@ class Shooting:
             g += J.T @ self.tracked.slope(window.first + i, frames[i]).astype(np.float32)
         return self.weight * g
 
+    def known(
+        self, windows: Sequence[WindowMotion], base: Base, simulator: LinearizableSimulator | None = None
+    ) -> list[KnownMotion]:
+        """The motions of windows, with what their equations need.
+
+        Args:
+            windows: simulated.
+            base: with which they were.
+            simulator: with which they were, if not with that of the base model.
+        """
+        simulator = self.simulator if simulator is None else simulator
+        found = []
+        for window in windows:
+            assert window.start is not None
+            found.append(
+                KnownMotion(
+                    simulator,
+                    window.positions,
+                    base.material,
+                    window.start.past[0].numpy(),
+                    window.start.steps,
+                    self.simulator.time_step,
+                    self.settings.tangents,
+                    float(window.start.began[0]),
+                )
+            )
+        remember(found)
+        return found
+
     @denormals_flushed()
     def normal(
         self,
         window: WindowMotion,
-        base: Base,
+        motion: KnownMotion,
         shared: Callable[[StepForces], Array],
         seen: Callable[[int, Array], Array],
         n_shared: int,
-        simulator: LinearizableSimulator | None = None,
         substep_changes: list[NDArray[np.float32]] | None = None,
     ) -> tuple[Array, Array, Array]:
         """Gauss-Newton matrix and gradient of the image term over [shared | local standardised at force=1].
@@ -562,14 +597,13 @@ class Shooting:
 
         Args:
             window: simulated.
-            base: with which it was.
+            motion: of it, see ``known``.
             shared: force sensitivities (n, N, 3) of a sub-step, the first n of the shared ones.
             seen: apparent displacements (m, N, 3) [m] in a frame at given positions, the last m of them.
             n_shared: n + m.
-            simulator: with which it was, if not with that of the base model.
             substep_changes: is given the change of every position, from the start on (3N, n), if not None.
         """
-        simulator = self.simulator if simulator is None else simulator
+        simulator = motion.simulator
         n = window.last - window.first
         oa, of, total = self.layout(n)
         sub = self.substeps
@@ -589,17 +623,6 @@ class Shooting:
         boundary_hats = hats((steps + 1) / sub, self.settings.boundary_knot, na)
         force_hats = hats(steps // sub + 0.5, self.settings.force_knot, nf)
         weighted = self.force_fields(window.first, window.last) * simulator.cloth.masses.numpy()[:, None]
-        assert window.start is not None
-        motion = KnownMotion(
-            simulator,
-            window.positions,
-            base.material,
-            window.start.past[0].numpy(),
-            window.start.steps,
-            self.simulator.time_step,
-            self.settings.tangents,
-            float(window.start.began[0]),
-        )
 
         def loads(step: StepForces) -> LoadSensitivities:
             f = np.zeros((R, N, 3))
@@ -632,8 +655,7 @@ class Shooting:
                 # The history of the motion is not changed by what is only seen.
                 J = moved.copy()
                 J[:, n_shared - len(apparent) : n_shared] += apparent.reshape(len(apparent), -1).T
-            information = self.tracked.information[f]
-            G += (J.T @ (information @ J)).astype(np.float64)
+            G += quadratic(self.tracked.information[f], J).astype(np.float64)
             g += J.T.astype(np.float64) @ self.tracked.slope(f, frames[i])
         positions, velocities = end
         slower = np.float32(simulator.time_step / self.simulator.time_step)

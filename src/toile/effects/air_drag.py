@@ -21,6 +21,7 @@ class AirDrag(VertexEffect):
     STAGE: ClassVar[Stage] = Stage.MECHANICS
     quadratic: ClassVar[bool] = True
     past_reach: ClassVar[int] = 1
+    own_past: ClassVar[bool] = True
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
         Parameter("linear", "1/s", 0.0, 20.0, 1.0, "resistance in every direction"),
         Parameter("normal", "1/s", 0.0, 40.0, 2.0, "resistance across the surface"),

@@ -168,6 +168,7 @@ class FacingGusts(VertexEffect):
     SCOPE: ClassVar[Scope] = Gusts.SCOPE
     quadratic: ClassVar[bool] = True
     past_reach: ClassVar[int] = 1
+    own_past: ClassVar[bool] = True
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (*Gusts.PARAMETERS, _FACING)
     SOURCE: ClassVar[str] = (
         f"{Gusts.SOURCE}; on surfaces: Baraff and Witkin, Large Steps in Cloth Simulation, SIGGRAPH 1998"

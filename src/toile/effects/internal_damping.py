@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import ClassVar
 
 import torch
@@ -50,13 +51,15 @@ class InternalDamping(ElementEffect):
         ratios = {"stretching": in_plane, "shearing": in_plane, "bending": bending}
         rest = {}
         for name in ("stretching", "shearing"):
-            shape = now.cloth.energies.named(name).measure(now.positions)
+            # Whatever the values are: derivatives by them ask for several in the same step.
+            measured = now.cloth.energies.named(name).measure
+            shape = now.once((InternalDamping, name), partial(measured, now.positions))
             rest[name] = _shifted(elements.rest[name], shape, in_plane)
         if now.cloth.energies.named("shearing").stencil.shape[1] == 2:
             # A diagonal counts by its strain, so by its rest length, which is still the one before.
             elements = elements.scaled(shearing=(rest["shearing"] / elements.rest["shearing"]).square())
         angles, towards = elements.rest["bending"].split([1, 3], dim=1)
-        towards = towards + bending * _remembered(now)
+        towards = towards + bending * now.once((InternalDamping, "bending"), partial(_remembered, now))
         # The factor below is on all of it; what rest angles and other moments do stays as it is.
         rest["bending"] = torch.cat((angles, towards), dim=1) / (1 + bending)
         return elements.scaled(**{n: 1 + ratio for n, ratio in ratios.items()}).with_rest(**rest)

@@ -35,6 +35,7 @@ class Pressure(VertexEffect):
     SCOPE: ClassVar[Scope] = Scope.CLIP
     quadratic: ClassVar[bool] = True
     past_reach: ClassVar[int] = 1
+    own_past: ClassVar[bool] = True
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = _parameters(USUAL_MODES)
     SOURCE: ClassVar[str] = "Batchelor, An Introduction to Fluid Dynamics, 1967 (normal stress of a fluid)"
     duration: float = 1.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import ClassVar, Self
 
 import torch
@@ -15,7 +15,7 @@ from toile.effects.base import Amount, Parameter, Stage, Surroundings, VertexEff
 from toile.errors import InputError
 from toile.limits import CountOrZero
 from toile.physics.cloth import Cloth
-from toile.physics.step_terms import StepContext
+from toile.physics.step_terms import StencilForces, StepContext
 
 _SCALE = 1e-3
 """Of the moments [N]: a curvature of 5 / m in a cloth of usual stiffness, 2e-4 N·m."""
@@ -135,9 +135,28 @@ class RestCurvature(VertexEffect):
         forces = now.once(self, lambda: self._forces(now))
         return -(forces * positions).sum(-1)
 
+    def stencil_forces(self, cloth: Cloth) -> StencilForces:
+        """See VertexTerm: M L ∂θ/∂x of every straight."""
+        stencil = cloth.energies.named("bending").stencil
+        return StencilForces(stencil, 1, partial(_angle_gradients, _moments(self.values, cloth)))
+
+    def force_derivatives(self, positions: Tensor, now: StepContext) -> Tensor:
+        """See VertexEffect: moments are linear in the values."""
+        one_by_one = torch.eye(len(self.values), dtype=torch.float64)
+        return _summed(now, torch.stack([_moments(values, now.cloth) for values in one_by_one]))
+
     def _forces(self, now: StepContext) -> Tensor:
         """M L Σ ∂θ/∂x (N, 3) [N] where the step begins."""
-        return _angle_gradients(now, _moments(self.values, now.cloth))
+        return _summed(now, _moments(self.values, now.cloth)[None])[0]
+
+
+def _summed(now: StepContext, weights: Tensor) -> Tensor:
+    """Σ weight ∂θ/∂x over the straights where the step begins (P, N, 3) [1/m], for weights (P, S)."""
+    index = now.cloth.energies.named("bending").stencil
+    unit = _angle_gradients(torch.ones_like(weights[0]), now.positions[index], now.normals[index[:, 1]])
+    forces = (weights[:, :, None, None] * unit).flatten(1, 2)
+    total = now.positions.new_zeros(len(weights), *now.positions.shape)
+    return total.index_add(1, index.flatten(), forces)
 
 
 def _moments(values: Tensor, cloth: Cloth) -> Tensor:
@@ -169,25 +188,26 @@ def _along(values: Tensor, places_0: Tensor, places_1: Tensor) -> tuple[Tensor, 
     return along_0, along_1
 
 
-def _angle_gradients(now: StepContext, weights: Tensor) -> Tensor:
-    """Σ weight ∂θ/∂x over the straights, (N, 3) [1/m], at x_n.
+def _angle_gradients(weights: Tensor, straights: Tensor, normals: Tensor) -> Tensor:
+    """Weight ∂θ/∂x on the vertices of straights (..., S, 3, 3) [1/m].
 
     With the unit edges u and v before and after the vertex and n the normal within their bisecting plane,
     2 sin(θ/2) = <v - u, n>. Turning n does not change it to first order where v - u is along n.
+
+    Args:
+        weights: (S,).
+        straights: positions of their vertices (..., S, 3, 3) [m].
+        normals: of the middle ones (..., S, 3).
     """
-    index = now.cloth.energies.named("bending").stencil
-    before, middle, after = now.positions[index].unbind(1)
+    before, middle, after = straights.unbind(-2)
     u, v = middle - before, after - middle
     u_length, v_length = u.norm(dim=-1, keepdim=True), v.norm(dim=-1, keepdim=True)
     u, v = u / u_length, v / v_length
     tangent = normalize(u + v, dim=-1)
-    n = now.normals[index[:, 1]]
-    n = normalize(n - (n * tangent).sum(-1, keepdim=True) * tangent, dim=-1)
+    n = normalize(normals - (normals * tangent).sum(-1, keepdim=True) * tangent, dim=-1)
     half_sine = ((v - u) * n).sum(-1, keepdim=True) / 2
     # A complete fold has no bisecting plane.
     slope = weights[:, None] / (1 - half_sine.square()).clamp(min=1e-4).sqrt()
     to_after = slope * (n - (n * v).sum(-1, keepdim=True) * v) / v_length
     to_before = slope * (n - (n * u).sum(-1, keepdim=True) * u) / u_length
-    total = torch.zeros_like(now.positions)
-    total = total.index_add(0, index[:, 2], to_after).index_add(0, index[:, 0], to_before)
-    return total.index_add(0, index[:, 1], -to_after - to_before)
+    return torch.stack((to_before, -to_after - to_before, to_after), dim=-2)

@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
@@ -68,6 +68,12 @@ class StepContext:
         """Unit normals (N, 3) of the cloth at x_n, to the side where its faces turn counter-clockwise."""
         return vertex_normals(self.positions, self.cloth.topology.faces)
 
+    def with_normals(self, normals: Tensor) -> StepContext:
+        """The same with other normals (N, 3): derivatives by them are taken apart."""
+        other = replace(self)
+        other.__dict__["normals"] = normals
+        return other
+
     def detached(self) -> StepContext:
         """The same without gradients."""
         return StepContext(
@@ -82,17 +88,34 @@ class StepContext:
         )
 
 
+class StencilForces(NamedTuple):
+    """Forces that hang on nothing but where stencils are when a step begins, and on one normal of each.
+
+    Attributes:
+        stencil: vertices of each (E, K).
+        middle: which of its vertices has the normal.
+        forces: on its vertices (..., E, K, 3) [N] for their positions (..., E, K, 3) [m] and normals
+            (..., E, 3).
+    """
+
+    stencil: Tensor
+    middle: int
+    forces: Callable[[Tensor, Tensor], Tensor]
+
+
 class VertexTerm(ABC):
     """A potential of every free vertex for itself.
 
     Attributes:
         past_reach: on a grid, how many vertices away along each side what happened before a step changes the
             force; an upper bound.
+        own_past: whether all that neighbours do to it is to turn the vertex's normal (StepContext.normals).
         quadratic: whether the potential is a polynomial of at most second degree in the new positions.
         values: numbers inside the term (n,) that derivatives are taken by.
     """
 
     past_reach: ClassVar[int] = 2
+    own_past: ClassVar[bool] = False
     quadratic: ClassVar[bool] = False
     values: Tensor = torch.zeros(0, dtype=torch.float64)
 
@@ -105,6 +128,10 @@ class VertexTerm(ABC):
             now: see StepContext.
         """
 
+    def stencil_forces(self, cloth: Cloth) -> StencilForces | None:
+        """The forces of a term that does not ask for anything else; None of any other."""
+        return None
+
 
 class ElementTerm(ABC):
     """A change of stiffness factors or rest shape; terms apply one after the other.
@@ -114,7 +141,8 @@ class ElementTerm(ABC):
             where it is strained after what changes the rest shape (0), what remembers a shape after both, a
             load's tension last.
         past_reach: see VertexTerm.
-        own_past: whether what happened before a step changes every element through its own vertices alone.
+        own_past: whether what happened before a step changes every element through its own vertices alone, at
+            all times alike.
         values: numbers inside the term (n,) that derivatives are taken by.
         tensions: that the term gives to edges which are as long as in the cloth's rest shape (E,) [N]; all
             terms know of them, see Elements.

@@ -649,7 +649,8 @@ class TestShortWindows:
         base = base_of(1.2 * STIFFNESS, np.array([0.0, 0.0, 0.0, *WINDS[0]]))
         window = one.shooting.simulate(one.windows[1], one.windows[1].standardised, base)
         shared = base_sensitivities(one.shooting, base)
-        _, gradient, _ = one.shooting.normal(window, base, shared, nothing_seen, 5)
+        (known,) = one.shooting.known([window], base)
+        _, gradient, _ = one.shooting.normal(window, known, shared, nothing_seen, 5)
         scales = local_scales(one.shooting, 3)
         for place in (0, one.shooting.n_fields + 1):
             step = np.zeros(len(window.standardised))

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 import toile.diagnosis.session_stages as stages
-from toile.diagnosis.image_information import SoftenedInformation
+from toile.diagnosis.image_information import SoftenedInformation, quadratic
 from toile.diagnosis.model_errors import model_errors
 from toile.diagnosis.session_settings import SessionSettings
 from toile.diagnosis.session_stages import RefinedMotion, with_uneven_errors
@@ -79,6 +79,10 @@ def test_images_are_no_surer_than_the_model_is_right_in_each_place() -> None:
         np.testing.assert_allclose(
             information @ given, expected @ given, atol=2e-4 * np.abs(expected @ given).max()
         )
+    square = right.T @ expected @ right
+    np.testing.assert_allclose(
+        quadratic(information, right.astype(np.float32)), square, atol=2e-4 * np.abs(square).max()
+    )
     of_slopes = within.T @ (0.5 * slope.reshape(-1))
     np.testing.assert_allclose(soft.gradient.reshape(-1), of_slopes, atol=1e-6 * np.abs(of_slopes).max())
     np.testing.assert_allclose(information.known(), 1 - np.diag(within), atol=1e-4)
