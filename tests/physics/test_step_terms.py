@@ -185,7 +185,7 @@ def bent(angle):
 
 
 def damped_step(x, v, h, bending, guess):
-    """Where one step ends from x and v that begins its search at a guess, all (N, 3)."""
+    """Where one step ends from x and v, (N, 3), that begins its search at the best of guesses (..., N, 3)."""
     assembly = Assembly.of(CLOTH)
     material = grid_material(one(80.0), one(3e-4), one(1e-3))
     now = StepContext(CLOTH, material, x, v, h, h, x[:0])
@@ -196,7 +196,7 @@ def damped_step(x, v, h, bending, guess):
     found = minimise_incremental_potential(
         assembly,
         BandedSolver(assembly.pattern, assembly.pinned),
-        guess[None].numpy(),
+        guess.reshape(-1, *x.shape).numpy(),
         (x + h * v).numpy(),
         np.zeros((0, 3)),
         np.zeros(x.shape),
@@ -218,6 +218,13 @@ def test_a_damped_bend_has_one_step_to_go_to():
     torch.testing.assert_close(damped_step(x, still, h, 1.0, other), own, rtol=0, atol=1e-9)
     # Of the bend a step of a tenth of the relaxation time lets go of a tenth.
     assert (own - x).abs().max() <= 0.05 * (other - x).abs().max()
+
+
+def test_a_guess_beyond_all_numbers_is_none():
+    x, h = bent(0.2), 0.1
+    still = torch.zeros_like(x)
+    found = damped_step(x, still, h, 1.0, torch.stack((1e200 * x, x)))
+    torch.testing.assert_close(found, damped_step(x, still, h, 1.0, x), rtol=0, atol=0)
 
 
 @pytest.mark.parametrize("angle", [0.01, 0.3])

@@ -170,7 +170,9 @@ def minimise_incremental_potential(
 
     starts = np.array(guesses, np.float64)
     starts[:, assembly.pinned] = boundary
-    values = np.array([potential(start) for start in starts])
+    # Where tangents lead a guess may be anywhere.
+    with np.errstate(over="ignore", invalid="ignore"):
+        values = np.array([potential(start) for start in starts])
     best = int(np.argmin(np.where(np.isfinite(values), values, np.inf)))
     x, value = starts[best], float(values[best])
     unit_gradients = assembly.gradients(x)
