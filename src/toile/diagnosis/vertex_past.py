@@ -97,8 +97,8 @@ class FacingPast:
     def __init__(self, terms: Sequence[VertexTerm], cloth: Cloth) -> None:
         self._terms = terms
         n = cloth.n_vertices
-        self._columns = (3 * np.arange(n)[:, None, None] + np.zeros((3, 1)) + np.arange(3)).reshape(-1)
-        self._columns = self._columns.astype(np.int32)
+        of_vertices = 3 * np.arange(n)[:, None] + np.arange(3)
+        self._columns = np.repeat(of_vertices, 3, axis=0).reshape(-1).astype(np.int32)
         self._starts = (3 * np.arange(3 * n + 1)).astype(np.int32)
         self._shape = (3 * n, 3 * n)
 
@@ -183,6 +183,10 @@ class StencilPast:
         ]
 
 
+_LEAST_LENGTH = 1e-12
+"""Of the sum of faces' normals; as torch's normalize has it."""
+
+
 class TurningNormals:
     """How normals of vertices turn with their neighbours, see geometry.mesh.vertex_normals.
 
@@ -226,7 +230,7 @@ class TurningNormals:
         np.add.at(
             total, self._faces.reshape(-1), np.repeat(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), 3, 0)
         )
-        length = np.linalg.norm(total, axis=-1, keepdims=True)
+        length = np.linalg.norm(total, axis=-1, keepdims=True).clip(min=_LEAST_LENGTH)
         unit = total / length
         across = (np.eye(3) - unit[:, :, None] * unit[:, None, :]) / length[:, :, None]
         values = across[self._around[self._entry], self._row].reshape(-1).astype(np.float32)
