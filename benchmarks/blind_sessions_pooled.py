@@ -37,6 +37,7 @@ LAST = (
     "sixth_effects",
     "seventh_effects",
     "eighteenth_medium",
+    "eighth_effects",
 )
 """Sets answered since corners that nobody moved are held; in what they differ: ``last_page``."""
 LATEST = (
@@ -205,11 +206,12 @@ def last_page(table: pd.DataFrame, every: pd.DataFrame) -> str:
             "# Sealed sessions since corners are held",
             f"Made by `make blind-sessions-pooled` from the marks of {_sets(own)}, every session answered "
             "before its label was opened, by the version that its page names. All are since corners that "
-            "nobody moved are held. They differ in four steps: since "
+            "nobody moved are held. They differ in five steps: since "
             "[sixteenth medium](blind_sessions_sixteenth_medium.md) nothing blows in a release, since "
             "[seventeenth medium](blind_sessions_seventeenth_medium.md) gusts push harder what faces them, "
-            "since three of its sessions an obstacle's push has a history, and since "
-            "[seventh effects](blind_sessions_seventh_effects.md) what may speak for `none` is bounded. "
+            "since three of its sessions an obstacle's push has a history, since "
+            "[seventh effects](blind_sessions_seventh_effects.md) what may speak for `none` is bounded, and "
+            "in [eighth effects](blind_sessions_eighth_effects.md) what has no history needs half as much. "
             "All versions: "
             f"[the record]({STEM}.md). Value [95 % interval], sessions. With few sessions the calibration "
             "error comes out too large.",
