@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
 
 import numpy as np
 import torch
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from torch import Tensor
 
-from toile.diagnosis.past_products import PastProducts
+from toile.diagnosis.past_products import PastProducts, some_at_once
 from toile.physics.cloth import Cloth
 from toile.physics.elements import Elements
 from toile.physics.energies.term import EnergyTerm, InternalEnergy
@@ -21,9 +20,6 @@ from toile.physics.step_terms import ElementTerm, StepContext
 
 Array = NDArray[np.float64]
 Single = NDArray[np.float32]
-
-_AT_ONCE = 32
-"""Steps whose elements are differentiated side by side: more take no less time each."""
 
 
 class _SplitCloth(Cloth):
@@ -53,8 +49,7 @@ class ElementPast:
 
     def of_steps(self, steps: Sequence[tuple[StepContext, Array]]) -> list[PastProducts | None]:
         """Of every step; None where nothing hangs on the past."""
-        pieces = [steps[k : k + _AT_ONCE] for k in range(0, len(steps), _AT_ONCE)]
-        return list(chain.from_iterable(map(self._side_by_side, pieces)))
+        return some_at_once(self._side_by_side, steps)
 
     def _side_by_side(self, steps: Sequence[tuple[StepContext, Array]]) -> list[PastProducts | None]:
         n = len(steps)

@@ -73,10 +73,6 @@ class PastForces:
             for (now, positions), own in zip(steps, found, strict=True)
         ]
 
-    def change(self, now: StepContext, positions: Array, moved: Single, speed: Single) -> Single:
-        """See PastOfStep, of a step that ends at positions (N, 3) [m]."""
-        return self.of_steps([(now, positions)])[0].change(moved, speed)
-
 
 @dataclass(frozen=True)
 class PastOfStep:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import chain
 
 import numpy as np
 import torch
@@ -18,16 +17,14 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from torch import Tensor
 
-from toile.diagnosis.past_products import PastProducts
+from toile.diagnosis.past_products import PastProducts, some_at_once
+from toile.geometry.mesh import face_normals
 from toile.physics.cloth import Cloth
 from toile.physics.implicit.terms import term_forces
 from toile.physics.step_terms import StepContext, StepTerm, VertexTerm
 
 Array = NDArray[np.float64]
 Single = NDArray[np.float32]
-
-_AT_ONCE = 32
-"""Steps whose stencils are differentiated side by side: more take no less time each."""
 
 
 class VertexPast:
@@ -156,8 +153,7 @@ class StencilPast:
 
     def of_steps(self, steps: Sequence[StepContext]) -> list[PastProducts]:
         """Of every step."""
-        pieces = [steps[k : k + _AT_ONCE] for k in range(0, len(steps), _AT_ONCE)]
-        return list(chain.from_iterable(map(self._side_by_side, pieces)))
+        return some_at_once(self._side_by_side, steps)
 
     def _side_by_side(self, steps: Sequence[StepContext]) -> list[PastProducts]:
         positions = torch.stack([now.positions.detach() for now in steps])
@@ -227,9 +223,8 @@ class TurningNormals:
         entries = cyclic.transpose(0, 2, 1, 3).reshape(-1).astype(np.float32)
         of_faces = csr_array((entries, self._columns, self._starts), shape=self._face_shape) @ moved
         total = np.zeros_like(positions)
-        np.add.at(
-            total, self._faces.reshape(-1), np.repeat(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), 3, 0)
-        )
+        of_each = face_normals(torch.from_numpy(positions), torch.from_numpy(self._faces)).numpy()
+        np.add.at(total, self._faces.reshape(-1), np.repeat(of_each, 3, 0))
         length = np.linalg.norm(total, axis=-1, keepdims=True).clip(min=_LEAST_LENGTH)
         unit = total / length
         across = (np.eye(3) - unit[:, :, None] * unit[:, None, :]) / length[:, :, None]

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from toile.diagnosis.past_forces import PastForces
+from toile.diagnosis.past_forces import PastForces, PastOfStep
 from toile.diagnosis.template_tension import TemplateTension
 from toile.effects.base import ElementEffect, Surroundings, VertexEffect
 from toile.effects.catalogue import CATALOGUE
@@ -35,6 +35,10 @@ OWN_PAST = [n for n in WITH_PAST if getattr(CATALOGUE[n], "own_past", False)]
 
 OWN_PAST = [n for n in WITH_PAST if CATALOGUE[n].own_past]
 """Asked in both ways: by themselves, and by adjoints of vertices that do not meet."""
+
+
+def one_step(past: PastForces, now: StepContext, positions: np.ndarray) -> PastOfStep:
+    return past.of_steps([(now, positions)])[0]
 
 
 def cloth_of_grid() -> Cloth:
@@ -76,7 +80,7 @@ def test_few_adjoints_give_the_whole_derivative(
     n = after.numel()
     moved = rng.standard_normal((n, 4)).astype(np.float32)
     faster = rng.standard_normal((n, 4)).astype(np.float32)
-    found = PastForces(terms, cloth).change(now, after.numpy(), moved, faster)
+    found = one_step(PastForces(terms, cloth), now, after.numpy()).change(moved, faster)
 
     def forces(x: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
         return term_forces(terms, replace(now, positions=x, velocities=v), after).reshape(-1)
@@ -97,7 +101,7 @@ def test_steps_side_by_side_are_those_one_by_one(names: Sequence[str]) -> None:
     moved, faster = rng.standard_normal((2, steps[0][1].numel(), 3)).astype(np.float32)
     together = past.of_steps([(now, after.numpy()) for now, after in steps])
     for (now, after), step in zip(steps[::11], together[::11], strict=True):
-        alone = past.change(now, after.numpy(), moved, faster)
+        alone = one_step(past, now, after.numpy()).change(moved, faster)
         assert np.abs(alone).max() > 0
         assert np.allclose(step.change(moved, faster), alone, rtol=1e-5, atol=1e-5 * np.abs(alone).max())
 
@@ -115,7 +119,9 @@ def test_own_past_is_alike_at_all_times() -> None:
     now, after = step_of(cloth, rng)
     fading = Fading().with_values(Fading().scales)
     with pytest.raises(ValueError, match="own past"):
-        PastForces((fading,), cloth).change(now, after.numpy(), *np.zeros((2, after.numel(), 1), np.float32))
+        one_step(PastForces((fading,), cloth), now, after.numpy()).change(
+            *np.zeros((2, after.numel(), 1), np.float32)
+        )
 
 
 def test_what_shows_nothing_in_one_step_is_asked_again() -> None:
@@ -130,6 +136,6 @@ def test_what_shows_nothing_in_one_step_is_asked_again() -> None:
     for strained in (1.0, 1.02):
         x = strained * flat
         now = StepContext(cloth, MATERIAL, x, 0 * x, 0.1, 0.01, x[cloth.pinned])
-        sizes.append(float(np.abs(past.change(now, (1.02 * flat).numpy(), moved, 0 * moved)).max()))
+        sizes.append(float(np.abs(one_step(past, now, (1.02 * flat).numpy()).change(moved, 0 * moved)).max()))
         assert past.remember
     assert sizes[0] <= 1e-9 * sizes[1]
