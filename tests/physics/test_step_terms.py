@@ -396,6 +396,12 @@ def test_strip_under_tension_shows_anisotropy_and_stiffening(axis):
     e = strain(StrainStiffening({"stretching": 400.0}))
     assert 80.0 * rest * e * (1 + 400.0 * e**2) == pytest.approx(pull, rel=1e-4)
     assert e < 0.8 * linear
+    saturating = StrainStiffening().in_detail().with_values(torch.tensor([0.0, 0.0, 1.5, 0.0]).double())
+    e, knee = strain(saturating), StrainStiffening.KNEES[0]
+    assert 80.0 * rest * e * (1 + 1.5 * e**2 / (e**2 + knee**2)) == pytest.approx(pull, rel=1e-4)
+    # Far beyond the knee it is a cloth that is stiffer by that factor.
+    assert e > 10 * knee
+    assert e == pytest.approx(linear / 2.5, rel=0.02)
 
 
 @pytest.mark.parametrize("integrator", [BackwardEuler(), BDF2()], ids=["backward Euler", "BDF2"])
@@ -407,6 +413,7 @@ def test_gradients_by_all_inputs_with_terms(integrator):
         AirDrag({"linear": 1.0, "normal": 3.0, "quadratic": 4.0}),
         InternalDamping({"in_plane": 0.01, "bending": 0.05}),
         StrainStiffening({"stretching": 500.0, "shearing": 10.0}),
+        StrainStiffening().in_detail().with_values(torch.tensor([0.0, 0.0, 0.8, 0.5]).double()),
         NonuniformStiffness({"mode_10": 0.4, "mode_02": -0.3}),
         RestCurvature({"axis_0": 4e-5, "axis_1": -3e-5}),
         Contact(Plane((0.0, 0.0, 1.005), (0.1, 0.2, -1.0)), {"stiffness": 1e4, "friction": 0.4}),

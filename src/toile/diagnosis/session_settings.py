@@ -45,6 +45,10 @@ class RefiningSettings:
             is judged by the motion in which they are held.
         passes: of each, at most, the firm one aside.
         jumps: factor on the deviations of the jumps in them.
+        modes: cosine modes along each side of a window's start in all of them: that of SessionSettings at
+            least, and else no more than two thirds of the vertices along a side of the model. Half of what a
+            motion is off by has more than three half waves along a side, and what no mode reaches stays where
+            tracking had it.
     """
 
     side: Annotated[int, Field(ge=4), Unit("vertices")] = 14
@@ -55,6 +59,7 @@ class RefiningSettings:
     loose: CountOrZero = 2
     passes: Count = 2
     jumps: Positive = 2.5
+    modes: Count = 8
 
     @property
     def any(self) -> bool:

@@ -255,7 +255,8 @@ class SessionModel:
             motion.velocities[last:],
         )
         own = self.own[last:]
-        alone = SessionModel(seen, motion, refining(self.settings), self._stiffness, own)
+        of_round = refining(_with_its_modes(self.settings))
+        alone = SessionModel(seen, motion, of_round, self._stiffness, own)
         there = np.concatenate([np.zeros(0, np.intp), *layout.coefficients(last)])
         begin = alone.fitting.started(effects, fit.coefficients[there], workers)
         found = alone.refined(alone.fitting.fitted(effects, begin, workers, spread=False))
@@ -333,9 +334,10 @@ def refined_motion(
         motion = RefinedMotion(begin.positions, begin.values, begin.error)
     s = settings.refining
     told, clips = clips, _in_any_wind(clips)
-    coarse = replace(settings, side=min(s.side, settings.side))
+    whole = _with_its_modes(settings)
+    coarse = _with_its_modes(replace(settings, side=min(s.side, settings.side)))
     firm = replace(coarse, fit=_rough(replace(settings.fit, passes=max(s.firm, 1))))
-    stages = ((refining(coarse), s.rounds), (firm, min(s.firm, 1)), (refining(settings), s.finer))
+    stages = ((refining(coarse), s.rounds), (firm, min(s.firm, 1)), (refining(whole), s.finer))
     on = model_grids(clips, coarse)
     for of_rounds, rounds in stages:
         before_on, on = on, model_grids(clips, of_rounds)
@@ -370,7 +372,8 @@ def loosened(
         workers: share the windows of a clip.
     """
     s, clips = settings.refining, _in_any_wind(clips)
-    coarse = replace(settings, side=min(s.side, settings.side), held=max(settings.held, settings.boundary))
+    held = max(settings.held, settings.boundary)
+    coarse = _with_its_modes(replace(settings, side=min(s.side, settings.side), held=held))
     error = motion.error
     motion = on_other_grids(motion, model_grids(clips, settings), model_grids(clips, coarse))
     for _ in range(s.loose):
@@ -384,6 +387,11 @@ def loosened(
 def _in_any_wind(clips: Sequence[SeenClip]) -> list[SeenClip]:
     """The clips without what is known of their air: the base model finds gusts and a tilt by a wind."""
     return [replace(clip, still_air=False) for clip in clips]
+
+
+def _with_its_modes(settings: SessionSettings) -> SessionSettings:
+    """The settings with as many modes of a window's start as refining has."""
+    return replace(settings, modes=max(settings.modes, min(settings.refining.modes, 2 * settings.side // 3)))
 
 
 def refining(settings: SessionSettings) -> SessionSettings:

@@ -159,6 +159,21 @@ def _alike_in_answer(report: GapReport) -> tuple[str, ...]:
     return ()
 
 
+def told_apart(report: GapReport, group: Sequence[str]) -> str:
+    """Where the answer is one of a group whose traces are alike, and not the others: that fits tell it.
+
+    Traces are to first order and under the law; fits go on, and causes from outside are judged beside free
+    forces as well, where the balance of torques tells what is alike under the law.
+    """
+    verdict = report.verdict
+    others = [name for name in group if name != verdict.effect]
+    if verdict.effect not in group or NONE in group or _alike_in_answer(report):
+        return ""
+    if set(others) & {*verdict.candidates, verdict.also}:
+        return ""
+    return f"to first order; what was fitted speaks for {spoken(verdict.effect)}"
+
+
 def _of_alike(report: GapReport, alike: Sequence[str], probability: str, stage: str) -> str:
     """``certainty`` where the answer is one of several that clips cannot tell apart."""
     verdict = report.verdict

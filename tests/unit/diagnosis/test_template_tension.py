@@ -141,6 +141,25 @@ def test_stiffening_counts_from_the_unstretched_length(hanging) -> None:
     np.testing.assert_allclose(at_template.factors["stretching"], 1 + 3 * a * before**2, rtol=1e-9)
 
 
+def test_a_stiffness_that_saturates_counts_from_the_unstretched_length(hanging) -> None:
+    """Tension along the curve Y L₀ (ε + c ε³ / (ε² + ε_k²)) from where the template is on it."""
+    cloth, shape, true = hanging
+    tension, c, knee = TemplateTension(np.clip(true, 0, None)), 1.7, StrainStiffening.KNEES[0]
+    effect = StrainStiffening().in_detail().with_values(torch.tensor([0.0, 0.0, c, 0.0]).double())
+    lengths = cloth.rest_lengths.numpy()
+    before = tension.tensions.numpy() / (STIFFNESS[0] * lengths)
+
+    def curve(strain: np.ndarray) -> np.ndarray:
+        return strain + c * strain**3 / (strain**2 + knee**2)
+
+    for further in (0.0, 0.004, -0.003):
+        elements = changed_elements([effect, tension], at_rest(cloth, (1 + further) * shape))
+        stiffness = STIFFNESS[0] * elements.factors["stretching"].numpy()
+        found = stiffness * ((1 + further) * lengths - elements.rest["stretching"].numpy())
+        gained = STIFFNESS[0] * lengths * (curve(before + further) - curve(before))
+        np.testing.assert_allclose(found, tension.tensions.numpy() + gained, rtol=1e-7, atol=1e-9)
+
+
 def test_a_stiffening_cloth_stays_in_its_template(hanging) -> None:
     cloth, shape, _ = hanging
     tension = template_tension(cloth, shape, GRAVITY, HORIZONTAL)
@@ -162,10 +181,11 @@ def test_sensitivity_to_stiffening_is_that_of_the_simulated_force(hanging) -> No
         given = Instant(step, STEP, STEP, STIFFNESS, GRAVITY, moved[cloth.pinned.numpy()], after)
         return force_sensitivities(effect, given, around)
 
-    effect = StrainStiffening({"stretching": 300.0, "shearing": 5.0})
+    effect = StrainStiffening({"stretching": 300.0, "shearing": 5.0}).in_detail()
+    effect = effect.with_values(effect.values + torch.tensor([0.0, 0.0, 0.4, 0.3]).double())
     found = sensitivities(effect, tension)
     for k, scale in enumerate(effect.scales):
-        change = torch.zeros(2, dtype=torch.float64)
+        change = torch.zeros(len(effect.scales), dtype=torch.float64)
         change[k] = 1e-4 * scale
 
         def force(values: torch.Tensor) -> np.ndarray:

@@ -43,6 +43,7 @@ from toile.reports.diagnosis_wording import (
     frame_ranges,
     percent,
     shrinkage,
+    told_apart,
     what_acts_beside,
     when_moved,
 )
@@ -257,6 +258,22 @@ def test_what_would_not_show_has_no_part_in_that_nothing_acts(report: GapReport)
     )
     assert "it is one of gusts and air drag, which this clip cannot tell apart." in certainty(alike)
     assert certainty(alike).endswith("Not excluded: nothing at all.")
+
+
+def test_an_answer_whose_trace_is_alike_another_is_said_to_be_told_by_fits(report: GapReport) -> None:
+    """Not listed as what the clips cannot tell, beside a name with 99 %."""
+    group = ("gusts", "air_drag", "gravity_tilt")
+    session = SessionAnswer(("a",), (5,), {"gravity_tilt": 0.99, "gusts": 0.01}, (group,), {}, 1.0)
+    alone = Verdict("gravity_tilt", ("gravity_tilt",), "actuation", 0.99, "Because.", "")
+    found = dataclasses.replace(answered(report, alone), session=session)
+    assert told_apart(found, group) == "to first order; what was fitted speaks for tilted gravity"
+    assert told_apart(found, ("gusts", "air_drag")) == ""
+    assert "speaks for tilted gravity" in words(body(found))
+    # Where another of them is left, or they are the answer together, nothing tells them.
+    left = dataclasses.replace(alone, candidates=("gravity_tilt", "gusts"))
+    together = dataclasses.replace(alone, probability=1.0)
+    for verdict in (left, together):
+        assert told_apart(dataclasses.replace(found, verdict=verdict), group) == ""
 
 
 def test_no_gap_and_unknown_causes(report: GapReport) -> None:

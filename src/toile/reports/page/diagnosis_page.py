@@ -107,7 +107,11 @@ class DiagnosisPage:
             alias_matrix=alias_matrix(report.alias, self._chosen),
             # Cells that a number fits into; on a narrow screen the matrix is moved sideways.
             alias_width=CELL_WIDTH * len(report.alias.names) + 120,
-            alike=[[plain_name(n) for n in group] for group in self._alike if len(group) > 1],
+            alike=[
+                ([plain_name(n) for n in group], diagnosis_wording.told_apart(report, group))
+                for group in self._alike
+                if len(group) > 1
+            ],
             limits=self._limits(),
             facts=self._facts(),
             config=arrays.config,
@@ -123,7 +127,7 @@ class DiagnosisPage:
 
     @property
     def _alike(self) -> Sequence[Sequence[str]]:
-        """Names that are one answer."""
+        """Names that leave the same trace."""
         session = self.report.session
         return self.report.alias.classes(ALIKE) if session is None else session.equivalence_classes
 
