@@ -119,6 +119,10 @@ def test_coarse_rounds_come_first_then_a_firm_one_and_the_whole_model(
     loose, jump = every.refining.jumps * every.jump_position, every.jump_position
     assert [asked.jump_position for asked in model.asked] == [loose] * 3 + [jump] + [loose] * 2
     assert [asked.fit.passes for asked in model.asked] == [2, 2, 2, 5, 2, 2]
+    # As many modes as refining asks for, where the grid has vertices for them, and never fewer than else.
+    assert [asked.modes for asked in model.asked] == [4] * 4 + [6] * 2
+    few = replace(every, modes=5, refining=replace(every.refining, modes=3))
+    assert {asked.modes for asked in rounds(monkeypatch, [0.0005] * 6, few)[0].asked} == {5}
     # Velocities are of the grid on which a round begins, the last ones of that of the comparison.
     assert model.began == [None, 6, 6, 6, 9, 9]
     assert motion.velocities[0][0, 0, 0] == 9
