@@ -255,8 +255,7 @@ class SessionModel:
             motion.velocities[last:],
         )
         own = self.own[last:]
-        of_round = refining(_with_its_modes(self.settings))
-        alone = SessionModel(seen, motion, of_round, self._stiffness, own)
+        alone = SessionModel(seen, motion, refining(self.settings), self._stiffness, own)
         there = np.concatenate([np.zeros(0, np.intp), *layout.coefficients(last)])
         begin = alone.fitting.started(effects, fit.coefficients[there], workers)
         found = alone.refined(alone.fitting.fitted(effects, begin, workers, spread=False))
@@ -334,10 +333,9 @@ def refined_motion(
         motion = RefinedMotion(begin.positions, begin.values, begin.error)
     s = settings.refining
     told, clips = clips, _in_any_wind(clips)
-    whole = _with_its_modes(settings)
-    coarse = _with_its_modes(replace(settings, side=min(s.side, settings.side)))
-    firm = replace(coarse, fit=_rough(replace(settings.fit, passes=max(s.firm, 1))))
-    stages = ((refining(coarse), s.rounds), (firm, min(s.firm, 1)), (refining(whole), s.finer))
+    coarse = replace(settings, side=min(s.side, settings.side))
+    firm = _with_its_modes(replace(coarse, fit=_rough(replace(settings.fit, passes=max(s.firm, 1)))))
+    stages = ((refining(coarse), s.rounds), (firm, min(s.firm, 1)), (refining(settings), s.finer))
     on = model_grids(clips, coarse)
     for of_rounds, rounds in stages:
         before_on, on = on, model_grids(clips, of_rounds)
@@ -372,8 +370,7 @@ def loosened(
         workers: share the windows of a clip.
     """
     s, clips = settings.refining, _in_any_wind(clips)
-    held = max(settings.held, settings.boundary)
-    coarse = _with_its_modes(replace(settings, side=min(s.side, settings.side), held=held))
+    coarse = replace(settings, side=min(s.side, settings.side), held=max(settings.held, settings.boundary))
     error = motion.error
     motion = on_other_grids(motion, model_grids(clips, settings), model_grids(clips, coarse))
     for _ in range(s.loose):
@@ -395,10 +392,10 @@ def _with_its_modes(settings: SessionSettings) -> SessionSettings:
 
 
 def refining(settings: SessionSettings) -> SessionSettings:
-    """The settings of one loose round of refining: looser jumps, few passes."""
+    """The settings of one loose round of refining: looser jumps, few passes, its modes."""
     s = settings.refining
     return replace(
-        settings,
+        _with_its_modes(settings),
         jump_position=s.jumps * settings.jump_position,
         jump_velocity=s.jumps * settings.jump_velocity,
         fit=replace(settings.fit, passes=s.passes),

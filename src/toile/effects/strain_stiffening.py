@@ -70,7 +70,7 @@ class StrainStiffening(ElementEffect):
         of = now.cloth.energies.named
         # A cloth that has grown is not strained by that.
         strain, angle = (of(n).strain(now.positions, elements.rest[n]) for n in ("stretching", "shearing"))
-        before = torch.zeros_like(strain)
+        before: Tensor | float = 0.0
         if elements.tensions is not None:
             stiffness = now.material["stretching"].detach()
             before = elements.tensions / (stiffness * elements.rest["stretching"])
@@ -79,12 +79,12 @@ class StrainStiffening(ElementEffect):
         shear = 1 + shearing * angle.square()
         if self._detailed:
             (stretched, sheared), (knee, bent) = self.values[2:], self.KNEES
-            stretch = stretch + stretched * _saturated(strain, before, knee)
-            shear = shear + sheared * _saturated(angle, torch.zeros_like(angle), bent)
+            stretch = stretch + stretched * _saturated(strain, knee, before)
+            shear = shear + sheared * _saturated(angle, bent)
         return elements.scaled(stretching=stretch, shearing=shear)
 
 
-def _saturated(further: Tensor, before: Tensor, knee: float) -> Tensor:
+def _saturated(further: Tensor, knee: float, before: Tensor | float = 0.0) -> Tensor:
     """Slope of the chord of e³ / (e² + knee²) from ``before`` to ``before + further``, which may meet."""
     square, after = knee**2, before + further
-    return 1 - square * (square - before * after) / ((before.square() + square) * (after.square() + square))
+    return 1 - square * (square - before * after) / ((before**2 + square) * (after**2 + square))
