@@ -40,8 +40,10 @@ class StrainStiffening(ElementEffect):
     KNEES: ClassVar[tuple[float, float]] = (0.003, 0.05)
     """Strain and angle [rad] at which half of what saturates is reached."""
     SATURATING: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("stretched", "1", 0.0, 30.0, 1.0, "c: the stiffness grows by that share beyond the knee"),
-        Parameter("sheared", "1", 0.0, 30.0, 1.0, "d: the same for shearing"),
+        Parameter(
+            "stretching_beyond_knee", "1", 0.0, 30.0, 1.0, "c: grows by that share beyond a strain of ε_k"
+        ),
+        Parameter("shearing_beyond_knee", "1", 0.0, 30.0, 1.0, "d: the same beyond an angle of φ_k"),
     )
     SOURCE: ClassVar[str] = (
         "Volino, Magnenat-Thalmann and Faure, A Simple Approach to Nonlinear Tensile Stiffness for Accurate "
