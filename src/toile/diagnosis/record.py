@@ -305,6 +305,8 @@ class SessionAnswer:
             it is more than tracking errs by; negative where they shrink.
         covered: what seems to be before the cloth, by clip, where something does.
         unseen: causes from outside that leave no trace of their own in these clips; one class with NONE.
+        second_shrink: of the error on the clip that was left out, by the effect that leads beside ``first``,
+            over ``first`` alone; where it is below zero ``second`` is "". None where it was not asked.
     """
 
     clips: tuple[str, ...]
@@ -325,6 +327,7 @@ class SessionAnswer:
     resized: dict[str, float] = field(default_factory=dict)
     covered: dict[str, Covered] = field(default_factory=dict)
     unseen: tuple[str, ...] = ()
+    second_shrink: Shrink | None = None
 
 
 @dataclass(frozen=True)

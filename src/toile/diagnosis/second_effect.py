@@ -3,12 +3,13 @@
 Hypotheses with one effect each are rivals, and two effects that act at once share what speaks for them. So
 the model with the first effect becomes the base model of all others, judged by the same weights. The second
 one is believed where each of the two is missing once the other acts: what merely took a share of the other's
-trace is not.
+trace is not. Nor is one with which a clip that nobody fitted is predicted worse than by the first alone: what
+is left to a second effect are above all the errors of the law.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,9 +17,10 @@ from numpy.typing import NDArray
 
 from toile.diagnosis.decision import NONE, UNKNOWN
 from toile.diagnosis.effect_size import Displacements
-from toile.diagnosis.joint_fit import JointFit
+from toile.diagnosis.joint_fit import JointFit, JointFitting
 from toile.diagnosis.outside_causes import OutsideCauses
 from toile.diagnosis.pipeline import Pipeline
+from toile.diagnosis.record import Shrink
 from toile.diagnosis.session_evidence import promising
 from toile.diagnosis.session_stages import HypothesisStages, RefinedMotion
 from toile.diagnosis.session_weights import MotionEvidence, SessionWeights, chances
@@ -27,6 +29,9 @@ from toile.effects.base import Effect
 from toile.effects.catalogue import PUSHING, WEIGHING
 
 Array = NDArray[np.float64]
+Foretold = Callable[[JointFitting, JointFit, JointFit, Effect], Shrink | None]
+"""Of fits whose base model has the first effect, that model, the fit of the second effect, and that effect:
+by how much the error on a clip left out shrinks."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +44,8 @@ class SecondEffect:
         name: of the one that is believed, "" for none.
         found: what their common fit says of each where one is believed, (n,) and (n, n) in prior deviations.
         values: of that fit, see JointFit; of no length where none is believed.
+        shrink: of the error on the clip left out, by the one that leads beside ``first``, over ``first``
+            alone; None where it was not asked.
     """
 
     first: str
@@ -46,10 +53,30 @@ class SecondEffect:
     name: str
     found: dict[str, tuple[Array, Array]]
     values: Array = field(default_factory=lambda: np.empty(0))
+    shrink: Shrink | None = None
 
     def unless(self, names: Collection[str]) -> SecondEffect:
         """The same; none is believed where it is one of these, which predict worse than nothing."""
-        return SecondEffect(self.first, self.chances, "", {}) if self.name in names else self
+        if self.name not in names:
+            return self
+        return SecondEffect(self.first, self.chances, "", {}, shrink=self.shrink)
+
+
+@dataclass(frozen=True)
+class _Beside:
+    """What is said of effects once another one acts.
+
+    Attributes:
+        chances: of them, and of none, most probable first.
+        fits: of both effects by the name of the second one.
+        fitting: whose base model has the first one.
+        with_first: that model.
+    """
+
+    chances: dict[str, float]
+    fits: dict[str, JointFit]
+    fitting: JointFitting
+    with_first: JointFit
 
 
 @dataclass(frozen=True)
@@ -66,6 +93,7 @@ class EffectsBeside:
         outside: see outside_causes.
         learned: probabilities of the learned decision, None where there is none.
         weights: see SessionWeights.
+        foretold: says whether a second effect is borne out; None: no clip was left out.
     """
 
     pipeline: Pipeline
@@ -77,6 +105,7 @@ class EffectsBeside:
     outside: OutsideCauses
     learned: Mapping[str, float] | None
     weights: SessionWeights
+    foretold: Foretold | None = None
 
     def second(self, probable: Mapping[str, float], settings: VerdictSettings, share: float) -> SecondEffect:
         """What acts beside the most probable of the effects.
@@ -100,15 +129,21 @@ class EffectsBeside:
 
     def _beside_first(self, first: str, settings: VerdictSettings, share: float) -> SecondEffect:
         """What acts beside an effect."""
-        probable, fits = self.beside(first, share)
-        name = _believed(probable, settings)
+        beside = self.beside(first, share)
+        probable, name = beside.chances, _believed(beside.chances, settings)
         # What the base model has is missing without it: else it would not be there.
         both = first in self.base.names
-        if name and not both and _believed(self.beside(name, share, only=first)[0], settings) != first:
+        if name and not both and _believed(self.beside(name, share, only=first).chances, settings) != first:
             name = ""
         if not name:
             return SecondEffect(first, probable, "", {})
-        return SecondEffect(first, probable, name, self._of_each(fits[name]), fits[name].values)
+        fit, shrink = beside.fits[name], None
+        if self.foretold is not None:
+            effect = next(one for one in self.effects if name == one.NAME)
+            shrink = self.foretold(beside.fitting, beside.with_first, fit, effect)
+        if shrink is not None and shrink.high < 0:
+            return SecondEffect(first, probable, "", {}, shrink=shrink)
+        return SecondEffect(first, probable, name, self._of_each(fit), fit.values, shrink)
 
     def _of_each(self, fit: JointFit) -> dict[str, tuple[Array, Array]]:
         """Coefficients of every effect in the first clip, and their covariance."""
@@ -117,18 +152,13 @@ class EffectsBeside:
         places = zip(fit.names, layout.coefficients(0), strict=True)
         return {name: (fit.coefficients[p], fit.covariance[np.ix_(p, p)]) for name, p in places}
 
-    def beside(
-        self, first: str, share: float, only: str | None = None
-    ) -> tuple[dict[str, float], dict[str, JointFit]]:
-        """Probabilities of effects once one of them acts, and of none beside it, most probable first.
+    def beside(self, first: str, share: float, only: str | None = None) -> _Beside:
+        """What is said of effects once one of them acts.
 
         Args:
             first: the one that acts.
             share: of all work that is done when it begins.
             only: the one that is asked about; None for all others.
-
-        Returns:
-            They, and the fits of both effects by the name of the second one.
         """
         by_name = {effect.NAME: effect for effect in self.effects}
         with_first = self._with(by_name[first], share)
@@ -158,7 +188,8 @@ class EffectsBeside:
         within = {name: fit.evidence(with_first) for name, fit in fits.items()}
         evidence_beside = MotionEvidence(errors, within, self.learned, {}, sizes, freed)
         odds = chances(evidence_beside, self.weights)
-        return dict(sorted(odds.items(), key=lambda item: -item[1])), fits
+        ranked = dict(sorted(odds.items(), key=lambda item: -item[1]))
+        return _Beside(ranked, fits, fitting, with_first)
 
     def _with(self, effect: Effect, share: float) -> JointFit:
         """The model with one effect, simulated."""

@@ -48,6 +48,7 @@ from toile.diagnosis.record import (
     GapReport,
     Protocol,
     SessionAnswer,
+    Shrink,
     StandIn,
     Where,
 )
@@ -329,18 +330,24 @@ def diagnose_session(
     progress("prediction of the clip that is left out", 0.89)
     ahead = max(2, round(together.ahead * problems[-1].scene.fps / 25))
     best = [name for name in evidence.chances if name in simulated][: together.refined]
-    left_out = left_out_shrinks(
-        model.fitting,
-        model.left_out,
-        base,
-        {name: fits[name] for name in best},
-        {effect.NAME: effect for effect in moving},
-        ahead,
-        together.placebos,
-        together.seed,
-        lambda own, fit: model.last_clip_of(own, fit, workers),
-        workers,
-    )
+
+    def foretold(
+        fitting: JointFitting, against: JointFit, of: Mapping[str, JointFit], placebos: int
+    ) -> LeftOut:
+        return left_out_shrinks(
+            fitting,
+            None if model.left_out is None else model.left_out.with_usual(fitting.usual),
+            against,
+            of,
+            {effect.NAME: effect for effect in moving},
+            ahead,
+            placebos,
+            together.seed,
+            lambda own, fit: model.last_clip_of(own, fit, workers),
+            workers,
+        )
+
+    left_out = foretold(model.fitting, base, {name: fits[name] for name in best}, together.placebos)
     worse = overtaken(left_out.shrinks) if len(clips) > 1 else ()
     if worse and next(iter(evidence.chances)) == NONE:
         evidence = evidence.without(worse, weights)
@@ -348,7 +355,25 @@ def diagnose_session(
     if sum(evidence.chances.get(effect.NAME, 0.0) for effect in moving) >= settings.verdict.named:
         # Something moves the cloth, whichever it is.
         progress("what acts beside the most probable effect", 0.93)
-        beside = EffectsBeside(pipeline, stages, motion, base, simulated, moving, outside, learned, weights)
+
+        def borne_out(
+            fitting: JointFitting, with_first: JointFit, fit: JointFit, effect: Effect
+        ) -> Shrink | None:
+            # What no placebo is asked of: whether the second effect does harm, not whether it helps.
+            return foretold(fitting, with_first, {effect.NAME: fit}, 0).shrinks.get(effect.NAME)
+
+        beside = EffectsBeside(
+            pipeline,
+            stages,
+            motion,
+            base,
+            simulated,
+            moving,
+            outside,
+            learned,
+            weights,
+            borne_out if len(clips) > 1 else None,
+        )
         second = beside.second(evidence.chances, settings.verdict, 0.93).unless(worse)
     gains: dict[str, float] = {}
     if not is_clear(evidence.chances, settings.verdict) and not (second and second.name):
@@ -588,6 +613,7 @@ def _report(
             found.resized,
             found.covered,
             unseen,
+            None if second is None else second.shrink,
         ),
     )
 

@@ -369,6 +369,10 @@ def what_acts_beside(report: GapReport) -> str:
     both = {report.verdict.effect, report.verdict.also} == {session.first or session.moved_by, name}
     if both:
         return f"{text}. Both are the answer."
+    shrink = session.second_shrink
+    if shrink is not None and shrink.high < 0:
+        worse = percent(-shrink.estimate)
+        return f"{text}. With both, {shrink.held_out} is predicted {worse} worse, so it is not named."
     believed = "Enough to name a second effect" if session.second else "Not enough to name a second effect"
     return f"{text}. {believed}."
 

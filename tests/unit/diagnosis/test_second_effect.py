@@ -17,9 +17,9 @@ from toile.diagnosis.joint_fit import JointFit, JointFitting, joint_clip
 from toile.diagnosis.model_errors import ModelErrors
 from toile.diagnosis.outside_causes import OutsideCauses
 from toile.diagnosis.pipeline import Pipeline, PipelineStage
-from toile.diagnosis.record import AMBIGUOUS, Verdict
+from toile.diagnosis.record import AMBIGUOUS, Shrink, Verdict
 from toile.diagnosis.results import KINDS
-from toile.diagnosis.second_effect import EffectsBeside, SecondEffect
+from toile.diagnosis.second_effect import EffectsBeside, Foretold, SecondEffect
 from toile.diagnosis.session_stages import HypothesisStages, RefinedMotion
 from toile.diagnosis.session_weights import SessionWeights
 from toile.diagnosis.stage_store import StageStore
@@ -40,7 +40,7 @@ def fitted(*acting: Effect) -> tuple[JointFitting, JointFit]:
     return fitting, fitting.fitted((), fitting.start_fit())
 
 
-def second(folder: Path, *acting: Effect) -> SecondEffect:
+def second(folder: Path, *acting: Effect, foretold: Foretold | None = None) -> SecondEffect:
     """What is found in clips with these effects, by the way that a diagnosis goes."""
     fitting, base = fitted(*acting)
     errors = ModelErrors(10.0, 10.0, 0.0025)
@@ -61,7 +61,7 @@ def second(folder: Path, *acting: Effect) -> SecondEffect:
     drops = {name: plain.misfit - fit.misfit for name, fit in found.items()}
     probable = dict.fromkeys((NONE, *drops), 0.0) | {max(drops, key=lambda name: drops[name]): 0.6}
     beside = EffectsBeside(
-        pipeline, stages, motion, plain, {}, CANDIDATES, OutsideCauses({}), None, SessionWeights()
+        pipeline, stages, motion, plain, {}, CANDIDATES, OutsideCauses({}), None, SessionWeights(), foretold
     )
     return beside.second(probable, SETTINGS, 0.5)
 
@@ -76,6 +76,26 @@ def test_two_effects_are_found_together(tmp_path: Path) -> None:
     # A part of it is taken for quadratic.
     assert 0.5 * 2.0 < mean[0] * drag(0.0).scales[0] < 1.1 * 2.0
     assert covariance.shape == (len(mean), len(mean))
+
+
+@pytest.mark.parametrize(("high", "believed"), [(-0.01, False), (0.01, True)])
+def test_a_second_effect_that_predicts_worse_is_not_believed(
+    tmp_path: Path, high: float, believed: bool
+) -> None:
+    asked: list[tuple[tuple[str, ...], tuple[str, ...], str]] = []
+    shrink = Shrink("position [mm]", "the last clip", 1.0, 1.1, -0.1, -0.2, high)
+
+    def foretold(fitting: JointFitting, with_first: JointFit, fit: JointFit, effect: Effect) -> Shrink:
+        assert tuple(e.NAME for e in fitting.usual) == with_first.names
+        asked.append((with_first.names, fit.names, effect.NAME))
+        return shrink
+
+    found = second(tmp_path, drag(2.0), UNEVEN, foretold=foretold)
+    first, other = found.first, next(iter(found.chances))
+    assert asked == [((first,), (first, other), other)]
+    assert (found.name, found.shrink) == (other if believed else "", shrink)
+    assert bool(found.found) == bool(len(found.values)) == believed
+    assert found.unless([other]).shrink == shrink
 
 
 @pytest.mark.parametrize("acting", [drag(1.2), UNEVEN])

@@ -455,6 +455,12 @@ def test_a_second_effect_is_named_or_said_to_be_none(report: GapReport) -> None:
     of_image = dataclasses.replace(two, also="shading")
     third = dataclasses.replace(report, verdict=of_image, session=rival)
     assert "4 %. Enough to name a second effect." in what_acts_beside(third)
+    shrink = Shrink("position [mm]", "the last clip", 1.0, 1.06, -0.06, -0.1, -0.02)
+    refuted = dataclasses.replace(beside, second_shrink=shrink)
+    said = what_acts_beside(dataclasses.replace(alone, session=refuted))
+    assert said.endswith("With both, the last clip is predicted 6 % worse, so it is not named.")
+    harmless = dataclasses.replace(refuted, second_shrink=dataclasses.replace(shrink, high=0.01))
+    assert "worse" not in what_acts_beside(dataclasses.replace(both, session=harmless))
     none = dataclasses.replace(session, beside={"none": 0.98, "air_drag": 0.02})
     assert "no other effect shows" in what_acts_beside(dataclasses.replace(report, session=none))
     assert what_acts_beside(dataclasses.replace(report, session=session)) == what_acts_beside(report) == ""
