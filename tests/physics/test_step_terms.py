@@ -12,7 +12,7 @@ from toile.effects.anisotropic_stiffness import AnisotropicStiffness
 from toile.effects.contact import Contact
 from toile.effects.internal_damping import InternalDamping
 from toile.effects.nonuniform_stiffness import NonuniformStiffness
-from toile.effects.obstacles import Plane
+from toile.effects.obstacles import Plane, Sphere, TriangleMesh
 from toile.effects.rest_curvature import RestCurvature
 from toile.effects.strain_stiffening import StrainStiffening
 from toile.geometry.mesh import grid_faces, vertex_normals
@@ -310,14 +310,60 @@ def test_what_is_quadratic_is_expanded_without_error(term):
     assert term.quadratic
     potential = VertexPotential((term,), now)
 
+    assert_as_torch_has_it(potential, (term,), now, at)
+
+
+@pytest.mark.parametrize(
+    "obstacle_at",
+    [
+        lambda c: Plane(c, (0.2, -0.1, 1.0)),
+        lambda c: Sphere(c - c.new_tensor((0, 0, 0.3)), 0.295),
+        lambda c: None,
+    ],
+)
+@pytest.mark.parametrize("beside", [(), (AirDrag({"linear": 1.0}),)])
+def test_contact_in_closed_form_is_that_of_torch(obstacle_at, beside):
+    """With friction that sticks and that slides, alone and beside a term without a closed form."""
+    generator = torch.Generator().manual_seed(2)
+    x, v, away = (torch.randn(3, CLOTH.n_vertices, 3, generator=generator) * 0.01).double()
+    x = flat(GRID, SIZE)[0] + x
+    now = StepContext(CLOTH, MATERIAL, x, v, 0.01, 0.01, x[:0])
+    # Some vertices have moved by less than friction sticks, 0.1 mm.
+    away[::2] *= 0.005
+    obstacle = obstacle_at(x.mean(0))
+    term = Contact(obstacle, {"stiffness": 2e4, "friction": 0.4}, thickness=0.01)
+    terms = (term, *beside)
+    assert term.derivatives((x + away).numpy(), now) is not None
+    if obstacle is not None:
+        inside = term.depth(x, x) > 0
+        assert not inside.all()
+        assert inside[::2].any()
+        assert inside[1::2].any()
+    assert_as_torch_has_it(VertexPotential(terms, now), terms, now, x + away)
+
+
+def test_contact_with_a_mesh_leaves_its_derivatives_to_torch():
+    corners, faces = torch.eye(4, 3).double(), [[0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]]
+    mesh = TriangleMesh(corners, torch.tensor(faces))
+    x = flat(GRID, SIZE)[0]
+    now = StepContext(CLOTH, MATERIAL, x, 0 * x, 0.01, 0.01, x[:0])
+    assert Contact(mesh, thickness=0.01).derivatives(x.numpy(), now) is None
+
+
+def assert_as_torch_has_it(potential, terms, now, at):
+    """Potential, gradient and second derivatives at positions."""
+
+    def energies(y):
+        return sum(term.energy(y, now) for term in terms)
+
     def total(y):
-        return term.energy(y, now).sum()
+        return energies(y).sum()
 
     slope = torch.autograd.functional.jacobian(total, at)
     whole = torch.autograd.functional.hessian(total, at)
     i = torch.arange(len(at))
     for found, expected in (
-        (potential.energy(at.numpy()), term.energy(at, now)),
+        (potential.energy(at.numpy()), energies(at)),
         (potential.gradient(at.numpy()), slope),
         (potential.blocks(at.numpy(), convex=False), whole[i, :, i]),
     ):

@@ -15,7 +15,9 @@ from toile.effects.base import Parameter, Scope, Stage, Surroundings, VertexEffe
 from toile.effects.gusts import USUAL_MODES, half_waves
 from toile.effects.obstacles import Nowhere, Obstacle, Plane, Sphere
 from toile.limits import NonNegative, Positive, Unit
-from toile.physics.step_terms import StepContext
+from toile.physics.step_terms import PotentialDerivatives, StepContext
+
+Array = NDArray[np.float64]
 
 
 class Contact(VertexEffect):
@@ -103,6 +105,27 @@ class Contact(VertexEffect):
         slide = _smooth_length(along, self._sticking_speed * now.time_step)
         return 0.5 * stiffness * depth.square() + friction * slide
 
+    def derivatives(self, positions: Array, now: StepContext) -> PotentialDerivatives | None:
+        """See VertexTerm; None for an obstacle whose distance has no second derivatives in closed form."""
+        curvature = self._obstacle.curvature(positions)
+        if curvature is None:
+            return None
+        lagged = now.once(self, lambda: self._lagged(now))
+        stiffness, friction, before = (part.detach().numpy() for part in lagged)
+        x = torch.from_numpy(positions)
+        depth, normals = self.depth(x, now.positions).numpy(), self.normals(x).numpy()
+        push = stiffness * depth
+        pressed = np.where(depth > 0, stiffness, 0.0)[:, None, None] * _outer(normals)
+        moved = positions - now.positions.numpy()
+        along = moved - (moved * before).sum(-1, keepdims=True) * before
+        length, slope, bend = _smooth_length_slopes(along, float(self._sticking_speed * now.time_step))
+        slide = slope[:, None, None] * (np.eye(3) - _outer(before)) + bend[:, None, None] * _outer(along)
+        return PotentialDerivatives(
+            0.5 * push * depth + friction * length,
+            (friction * slope)[:, None] * along - push[:, None] * normals,
+            pressed - push[:, None, None] * curvature + friction[:, None, None] * slide,
+        )
+
     def depth(self, positions: Tensor, earlier: Tensor) -> Tensor:
         """How far every vertex is within the margin of the obstacle (N,) [m].
 
@@ -189,6 +212,21 @@ def _smooth_length(vectors: Tensor, limit: float | Tensor) -> Tensor:
     below = squared < limit * limit
     length = torch.where(squared > _TINY * limit * limit, squared, _TINY * limit * limit).sqrt()
     return torch.where(below, squared * (1 / limit - length / (3 * limit * limit)) + limit / 3, length)
+
+
+def _smooth_length_slopes(vectors: Array, limit: float) -> tuple[Array, Array, Array]:
+    """The same length l of vectors v (N, 3), and s and b (N,): grad l = s v, its derivative s I + b v vᵀ."""
+    squared = (vectors**2).sum(-1)
+    root = np.sqrt(np.maximum(squared, _TINY * limit * limit))
+    below = squared < limit * limit
+    length = np.where(below, squared * (1 / limit - root / (3 * limit * limit)) + limit / 3, root)
+    slope = np.where(below, 2 / limit - root / (limit * limit), 1 / root)
+    return length, slope, np.where(below, -1 / (limit * limit * root), -1 / root**3)
+
+
+def _outer(vectors: Array) -> Array:
+    """Outer products v vᵀ (N, 3, 3) of vectors (N, 3)."""
+    return vectors[:, :, None] * vectors[:, None, :]
 
 
 # The root's derivatives stay finite; its factor vanishes there.

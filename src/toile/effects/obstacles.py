@@ -39,6 +39,10 @@ class Obstacle(ABC):
     def normals(self, positions: Tensor) -> Tensor:
         """Unit vectors out of the obstacle, gradients of the distance, (N, 3)."""
 
+    def curvature(self, positions: Array) -> Array | None:
+        """Second derivatives of the distance (N, 3, 3) [1/m]; None where no closed form gives them."""
+        return None
+
 
 class Nowhere(Obstacle):
     """No obstacle that anybody knows of: nothing comes near it."""
@@ -50,6 +54,10 @@ class Nowhere(Obstacle):
     def normals(self, positions: Tensor) -> Tensor:
         """See Obstacle."""
         return torch.zeros_like(positions)
+
+    def curvature(self, positions: Array) -> Array:
+        """See Obstacle."""
+        return np.zeros((len(positions), 3, 3))
 
 
 class Plane(Obstacle):
@@ -76,6 +84,10 @@ class Plane(Obstacle):
         """See Obstacle."""
         return self.normal.expand_as(positions)
 
+    def curvature(self, positions: Array) -> Array:
+        """See Obstacle."""
+        return np.zeros((len(positions), 3, 3))
+
 
 class Sphere(Obstacle):
     """A ball.
@@ -99,6 +111,12 @@ class Sphere(Obstacle):
     def normals(self, positions: Tensor) -> Tensor:
         """See Obstacle."""
         return normalize(positions - self.centre, dim=-1)
+
+    def curvature(self, positions: Array) -> Array:
+        """See Obstacle."""
+        away = positions - self.centre.numpy()
+        distance = np.linalg.norm(away, axis=-1)[:, None, None]
+        return (np.eye(3) - away[:, :, None] * away[:, None, :] / distance**2) / distance
 
 
 class TriangleMesh(Obstacle):

@@ -14,7 +14,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple, TypeVar
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from toile.geometry.mesh import vertex_normals
@@ -22,6 +24,7 @@ from toile.physics.cloth import Cloth
 from toile.physics.elements import Elements
 from toile.physics.material import Material
 
+Array = NDArray[np.float64]
 T = TypeVar("T")
 
 
@@ -103,6 +106,20 @@ class StencilForces(NamedTuple):
     forces: Callable[[Tensor, Tensor], Tensor]
 
 
+class PotentialDerivatives(NamedTuple):
+    """A potential of vertices and its derivatives by their new positions.
+
+    Attributes:
+        energy: (N,) [J].
+        gradient: (N, 3) [N].
+        blocks: second derivatives (N, 3, 3) [N/m].
+    """
+
+    energy: Array
+    gradient: Array
+    blocks: Array
+
+
 class VertexTerm(ABC):
     """A potential of every free vertex for itself.
 
@@ -127,6 +144,17 @@ class VertexTerm(ABC):
             positions: x_{n+1} (N, 3) [m]; entry i of the result depends on positions[i] only.
             now: see StepContext.
         """
+
+    def derivatives(self, positions: Array, now: StepContext) -> PotentialDerivatives | None:
+        """The potential and its derivatives in closed form; None of a term that leaves them to torch.
+
+        A solver asks for them at every iteration, where torch takes as long as all else.
+
+        Args:
+            positions: x_{n+1} (N, 3) [m].
+            now: without gradients.
+        """
+        return None
 
     def stencil_forces(self, cloth: Cloth) -> StencilForces | None:
         """The forces of a term that does not ask for anything else; None of any other."""

@@ -17,7 +17,7 @@ from toile.physics.implicit.assembly import Assembly
 from toile.physics.implicit.linear_solvers.pattern import BlockPattern
 from toile.physics.implicit.potential import StepPotential
 from toile.physics.material import Material
-from toile.physics.step_terms import ElementTerm, StepContext, StepTerm, VertexTerm
+from toile.physics.step_terms import ElementTerm, PotentialDerivatives, StepContext, StepTerm, VertexTerm
 
 Array = NDArray[np.float64]
 
@@ -70,14 +70,29 @@ class VertexPotential(StepPotential):
         x = self._now.positions.numpy()
         return x, *self._derivatives(x)
 
-    def _derivatives(self, x: Array) -> tuple[Array, Array, Array]:
-        """Potential (N,), gradient (N, 3) and second derivatives (N, 3, 3) at positions x (N, 3)."""
-        with torch.enable_grad():
-            positions = torch.tensor(x, requires_grad=True)
-            energy = vertex_energy(self._terms, positions, self._now)
-            gradient = _gradient(energy, positions, graph=True)
-            rows = [_gradient(gradient[:, axis], positions, graph=False) for axis in range(3)]
-        return energy.detach().numpy(), gradient.detach().numpy(), torch.stack(rows, 1).numpy()
+    def _derivatives(self, x: Array) -> PotentialDerivatives:
+        """At positions x (N, 3)."""
+        found, others = self._in_closed_form(x)
+        if others:
+            with torch.enable_grad():
+                positions = torch.tensor(x, requires_grad=True)
+                energy = vertex_energy(others, positions, self._now)
+                gradient = _gradient(energy, positions, graph=True)
+                rows = [_gradient(gradient[:, axis], positions, graph=False) for axis in range(3)]
+            parts = energy.detach(), gradient.detach(), torch.stack(rows, 1)
+            found.append(PotentialDerivatives(*(part.numpy() for part in parts)))
+        if len(found) == 1:
+            return found[0]
+        return PotentialDerivatives(
+            np.sum([one.energy for one in found], 0),
+            np.sum([one.gradient for one in found], 0),
+            np.sum([one.blocks for one in found], 0),
+        )
+
+    def _in_closed_form(self, x: Array) -> tuple[list[PotentialDerivatives], list[VertexTerm]]:
+        """Derivatives of the terms that have them in closed form, and the other terms."""
+        pairs = [(term, term.derivatives(x, self._now)) for term in self._terms]
+        return [one for _, one in pairs if one is not None], [term for term, one in pairs if one is None]
 
     def _evaluate(self, x: Array) -> tuple[Array, Array]:
         if self._quadratic:
@@ -87,11 +102,17 @@ class VertexPotential(StepPotential):
             return level + ((slope + 0.5 * bent) * away).sum(-1), slope + bent
         # The line search asks for the potential, then the residual for the gradient at the same place.
         if self._last is None or not np.array_equal(self._last[0], x):
-            with torch.enable_grad():
-                positions = torch.tensor(x, requires_grad=True)
-                energy = vertex_energy(self._terms, positions, self._now)
-                gradient = _gradient(energy, positions, graph=False)
-            self._last = (x.copy(), energy.detach().numpy(), gradient.detach().numpy())
+            found, others = self._in_closed_form(x)
+            level, slope = np.zeros(len(x)), np.zeros_like(x)
+            for one in found:
+                level, slope = level + one.energy, slope + one.gradient
+            if others:
+                with torch.enable_grad():
+                    positions = torch.tensor(x, requires_grad=True)
+                    energy = vertex_energy(others, positions, self._now)
+                    gradient = _gradient(energy, positions, graph=False)
+                level, slope = level + energy.detach().numpy(), slope + gradient.detach().numpy()
+            self._last = (x.copy(), level, slope)
         return self._last[1], self._last[2]
 
 
