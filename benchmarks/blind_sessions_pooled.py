@@ -38,6 +38,7 @@ LAST = (
     "seventh_effects",
     "eighteenth_medium",
     "eighth_effects",
+    "nineteenth_medium",
 )
 """Sets answered since corners that nobody moved are held; in what they differ: ``last_page``."""
 LATEST = (
@@ -206,12 +207,13 @@ def last_page(table: pd.DataFrame, every: pd.DataFrame) -> str:
             "# Sealed sessions since corners are held",
             f"Made by `make blind-sessions-pooled` from the marks of {_sets(own)}, every session answered "
             "before its label was opened, by the version that its page names. All are since corners that "
-            "nobody moved are held. They differ in five steps: since "
+            "nobody moved are held. They differ in six steps: since "
             "[sixteenth medium](blind_sessions_sixteenth_medium.md) nothing blows in a release, since "
             "[seventeenth medium](blind_sessions_seventeenth_medium.md) gusts push harder what faces them, "
             "since three of its sessions an obstacle's push has a history, since "
-            "[seventh effects](blind_sessions_seventh_effects.md) what may speak for `none` is bounded, and "
-            "in [eighth effects](blind_sessions_eighth_effects.md) what has no history needs half as much. "
+            "[seventh effects](blind_sessions_seventh_effects.md) what may speak for `none` is bounded, since "
+            "[eighth effects](blind_sessions_eighth_effects.md) what has no history needs half as much, and "
+            "in [nineteenth medium](blind_sessions_nineteenth_medium.md) motions are refined by finer modes. "
             "All versions: "
             f"[the record]({STEM}.md). Value [95 % interval], sessions. With few sessions the calibration "
             "error comes out too large.",
