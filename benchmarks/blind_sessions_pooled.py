@@ -211,9 +211,10 @@ def last_page(table: pd.DataFrame, every: pd.DataFrame) -> str:
             "[sixteenth medium](blind_sessions_sixteenth_medium.md) nothing blows in a release, since "
             "[seventeenth medium](blind_sessions_seventeenth_medium.md) gusts push harder what faces them, "
             "since three of its sessions an obstacle's push has a history, since "
-            "[seventh effects](blind_sessions_seventh_effects.md) what may speak for `none` is bounded, since "
-            "[eighth effects](blind_sessions_eighth_effects.md) what has no history needs half as much, and "
-            "in [nineteenth medium](blind_sessions_nineteenth_medium.md) motions are refined by finer modes. "
+            "[seventh effects](blind_sessions_seventh_effects.md) what may speak for `none` is bounded, "
+            "since [eighth effects](blind_sessions_eighth_effects.md) what has no history needs half as "
+            "much, and in [nineteenth medium](blind_sessions_nineteenth_medium.md) motions are refined by "
+            "finer modes. "
             "All versions: "
             f"[the record]({STEM}.md). Value [95 % interval], sessions. With few sessions the calibration "
             "error comes out too large.",
