@@ -306,7 +306,8 @@ class SessionAnswer:
         covered: what seems to be before the cloth, by clip, where something does.
         unseen: causes from outside that leave no trace of their own in these clips; one class with NONE.
         second_shrink: of the error on the clip that was left out, by the effect that leads beside ``first``,
-            over ``first`` alone; where it is below zero ``second`` is "". None where it was not asked.
+            over ``first`` alone; where its whole interval is below zero ``second`` is "". None where it was
+            not asked.
     """
 
     clips: tuple[str, ...]

@@ -359,7 +359,7 @@ def diagnose_session(
         def borne_out(
             fitting: JointFitting, with_first: JointFit, fit: JointFit, effect: Effect
         ) -> Shrink | None:
-            # What no placebo is asked of: whether the second effect does harm, not whether it helps.
+            # Without placebos: whether the second effect does harm is asked, not whether it helps.
             return foretold(fitting, with_first, {effect.NAME: fit}, 0).shrinks.get(effect.NAME)
 
         beside = EffectsBeside(
