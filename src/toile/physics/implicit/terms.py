@@ -35,6 +35,7 @@ class VertexPotential(StepPotential):
     def __init__(self, terms: Sequence[VertexTerm], now: StepContext) -> None:
         self._terms, self._now = terms, now
         self._last: tuple[Array, Array, Array] | None = None
+        self._closed: tuple[Array, list[PotentialDerivatives | None]] | None = None
         self._quadratic = all(term.quadratic for term in terms)
 
     def energy(self, x: Array) -> Array:
@@ -91,7 +92,10 @@ class VertexPotential(StepPotential):
 
     def _in_closed_form(self, x: Array) -> tuple[list[PotentialDerivatives], list[VertexTerm]]:
         """Derivatives of the terms that have them in closed form, and the other terms."""
-        pairs = [(term, term.derivatives(x, self._now)) for term in self._terms]
+        # The Hessian is asked for where the gradient has been.
+        if self._closed is None or not np.array_equal(self._closed[0], x):
+            self._closed = x.copy(), [term.derivatives(x, self._now) for term in self._terms]
+        pairs = list(zip(self._terms, self._closed[1], strict=True))
         return [one for _, one in pairs if one is not None], [term for term, one in pairs if one is None]
 
     def _evaluate(self, x: Array) -> tuple[Array, Array]:
